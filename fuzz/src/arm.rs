@@ -1,5 +1,5 @@
-//! Descent, hand guiding, joint follower and thermal model with arbitrary numbers: sendable commands, or an error that
-//! changes nothing.
+//! Descent, hand guiding, joint follower and thermal model with arbitrary numbers: each call gives a valid command, or
+//! an error that changes nothing.
 
 use std::sync::Arc;
 
@@ -11,10 +11,10 @@ use super::arms::{ARMS, Arm, arm};
 use super::checks::{assert_named, assert_sendable, bits};
 use super::input::Input;
 
-/// Most ticks in one run.
+/// Maximum number of ticks in one run.
 const TICKS: usize = 60;
 
-/// Runs one of the four on one of the arms.
+/// Runs descent, hand guiding, joint follower or thermal model on one of the arms.
 pub fn run(data: &[u8]) {
     let mut input = Input::new(data);
     let arm = arm(input.below(ARMS));
@@ -57,7 +57,7 @@ fn lowering(input: &mut Input, arm: &Arm) {
         match lowering.step(&measured, &fresh, dt, age) {
             Ok(Some(command)) => {
                 assert_sendable(&command, &arm.servos.max_torque);
-                // The arm follows the goals, so that phases end.
+                // Let the arm follow the goals, so that phases end.
                 q.iter_mut().zip(command.goal()).for_each(|(q, goal)| *q = goal.clamp(-3.0, 3.0));
             }
             Ok(None) => return,
@@ -103,7 +103,7 @@ fn joint_follower(input: &mut Input, arm: &Arm) {
     }
 }
 
-/// Runs ticks with changed positions, targets and periods.
+/// Runs ticks with arbitrary positions, targets and periods.
 fn follow<T: Clone>(
     input: &mut Input,
     arm: &Arm,

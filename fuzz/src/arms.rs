@@ -1,4 +1,4 @@
-//! Arms, servos and controllers that the targets start from; each is made once and then cloned.
+//! Arms, servos and controllers with which the fuzz targets start; each is created once and then cloned.
 
 use std::sync::{Arc, OnceLock};
 
@@ -14,11 +14,11 @@ pub struct Arm {
     pub target: Pose,
 }
 
-/// Number of arms that [`arm`] knows.
+/// Number of arms that [`arm`] returns.
 pub const ARMS: usize = 5;
 
-/// Returns an arm by index: seven joints, seven with a turned mount, five, two in a plane, and ten (more than the
-/// step's vectors of eight hold).
+/// Returns an arm by index: with seven joints, seven and a rotated base, five, two in a plane, and ten, which is more
+/// than the step's vectors of eight can contain.
 pub fn arm(index: usize) -> &'static Arm {
     static ALL: [OnceLock<Arm>; ARMS] = [const { OnceLock::new() }; ARMS];
     ALL[index].get_or_init(|| make(index))
@@ -85,12 +85,12 @@ fn chain_of(joints: usize) -> String {
     format!("<robot name=\"chain\">{links}{all}</robot>")
 }
 
-/// Number of variants of the settings that [`controller`] knows.
+/// Number of variants of the settings for each arm and law.
 const VARIANTS: usize = 4;
-/// Number of controllers that [`controller`] knows.
+/// Number of controllers that [`controller`] returns.
 pub const CONTROLLERS: usize = ARMS * 3 * VARIANTS;
 
-/// Returns a controller by index: every arm under every law, with default settings and with the rarer stages on.
+/// Returns a controller by index: every arm under every law, with default settings and with rarely used options.
 pub fn controller(index: usize) -> &'static (Arm, Controller) {
     static ALL: [OnceLock<(Arm, Controller)>; CONTROLLERS] = [const { OnceLock::new() }; CONTROLLERS];
     ALL[index].get_or_init(|| {
@@ -108,7 +108,7 @@ fn settings(n: usize, law: Law, variant: usize) -> Settings {
     let base = Settings {
         law,
         task: Task { axes, frame: Frame::Base, length: few.then_some(0.2) },
-        // A damping above the least for which instruction sets are documented to agree.
+        // Above the damping from which on instruction sets agree within the documented tolerance.
         tracking: Tracking { damping: Damping::Fixed(0.05), ..Tracking::default() },
         ..Settings::default()
     };

@@ -1,4 +1,5 @@
-//! Steps of many arms with arbitrary numbers: each row as a controller of its own, states unchanged after an error.
+//! Batch steps with arbitrary numbers: each row equals the step of a separate controller, and an error changes no
+//! state.
 
 use pliant_core::{
     BatchCommand, BatchInput, BatchState, Command, Controller, Error, OnInvalid, Pose, SimdLevel, StepInput, Targets,
@@ -9,7 +10,7 @@ use super::checks::{assert_named, ceiling};
 use super::input::Input;
 use super::step::pose;
 
-/// Most steps in one run.
+/// Maximum number of steps in one run.
 const STEPS: usize = 3;
 
 struct Rows {
@@ -59,26 +60,26 @@ impl Output {
 /// Runs steps of a batch, with or without state, and compares them with single steps.
 pub fn run(data: &[u8]) {
     let mut input = Input::new(data);
-    let (arm, made) = controller(input.below(CONTROLLERS));
+    let (arm, initial) = controller(input.below(CONTROLLERS));
     let n = arm.model.n();
-    let mut controller = made.clone();
+    let mut controller = initial.clone();
     controller.set_simd_level(input.pick(&SimdLevel::available()));
-    // Rarely more than one chunk of 64.
+    // Mostly fewer arms than one chunk of 64; one count exceeds it.
     let count = 1 + input.pick(&[0, 1, 3, 7, 8, 11, 16, 64]);
     let invalid = input.pick(&[OnInvalid::Error, OnInvalid::Nan]);
     if input.flag() {
         let rows = Rows::read(&mut input, arm, count);
-        return stateless(&controller, &rows, n, count, invalid);
+        return run_without_state(&controller, &rows, n, count, invalid);
     }
     let mut state = BatchState::new(n, count).unwrap();
     let mut singles: Vec<Controller> = vec![controller.clone(); count];
     for _ in 0..STEPS {
         let rows = Rows::read(&mut input, arm, count);
-        if !with_state(&controller, &mut state, &mut singles, &rows, invalid) {
+        if !run_with_state(&controller, &mut state, &mut singles, &rows, invalid) {
             return;
         }
     }
-    damaged(&mut input, &controller, &state, arm, count);
+    run_with_damaged_state(&mut input, &controller, &state, arm, count);
 }
 
 fn step(
@@ -98,12 +99,12 @@ fn step(
     Ok(out)
 }
 
-/// Panics unless the row is NaN, as for an arm whose input is invalid.
+/// Panics unless the command of a row is NaN, as for an arm whose input is invalid.
 fn assert_nan(row: [&[f64]; 3], error: &Error) {
     assert!(row.iter().all(|values| values.iter().all(|value| value.is_nan())), "{row:?} after {error}");
 }
 
-/// Panics unless the row has the bits of the command of a single step.
+/// Panics unless the command of a row is bit-identical to that of a single step.
 fn assert_same(row: usize, got: [&[f64]; 3], command: &Command) {
     let bits = |values: &[f64]| values.iter().map(|x| x.to_bits()).collect::<Vec<_>>();
     for (got, want) in got.into_iter().zip([command.goal(), command.torque_limit(), command.speed_limit()]) {
@@ -111,8 +112,9 @@ fn assert_same(row: usize, got: [&[f64]; 3], command: &Command) {
     }
 }
 
-/// Returns false if the batch was refused after it had stepped some arms.
-fn with_state(
+/// Steps the batch and a separate controller per arm, and compares them. Returns false if the batch step failed after
+/// it had stepped some arms.
+fn run_with_state(
     controller: &Controller,
     state: &mut BatchState,
     singles: &mut [Controller],
@@ -120,7 +122,7 @@ fn with_state(
     invalid: OnInvalid,
 ) -> bool {
     let (n, count, before) = (controller.model().n(), singles.len(), state.clone());
-    let untouched = singles.to_vec();
+    let singles_before = singles.to_vec();
     let results: Vec<_> = singles
         .iter_mut()
         .enumerate()
@@ -135,7 +137,11 @@ fn with_state(
                 match result {
                     Ok(command) => assert_same(row, out.row(n, row), command),
                     Err(error) => {
-                        assert_eq!(invalid, OnInvalid::Nan, "row {row} was accepted, not by a controller: {error}");
+                        assert_eq!(
+                            invalid,
+                            OnInvalid::Nan,
+                            "batch accepts row {row}, its controller does not: {error}"
+                        );
                         assert_nan(out.row(n, row), error);
                     }
                 }
@@ -144,10 +150,10 @@ fn with_state(
         }
         Err(error) => {
             assert_named(&error);
-            assert!(results.iter().any(Result::is_err), "no controller of its own refuses a row: {error}");
+            assert!(results.iter().any(Result::is_err), "every separate controller accepts its row: {error}");
             let late = error.to_string().contains("not finite: nothing was sent");
             assert!(late || bits_of(state) == bits_of(&before), "the state has changed after: {error}");
-            singles.clone_from_slice(&untouched);
+            singles.clone_from_slice(&singles_before);
             !late
         }
     }
@@ -157,11 +163,12 @@ fn bits_of(state: &BatchState) -> Vec<u64> {
     state.as_slice().iter().map(|value| value.to_bits()).collect()
 }
 
-fn stateless(controller: &Controller, rows: &Rows, n: usize, count: usize, invalid: OnInvalid) {
-    let mut free = controller.settings().clone();
-    free.tracking.goal_slew = f64::INFINITY;
-    free.max_tool_speed = [f64::INFINITY; 2];
-    let comparable = free == *controller.settings();
+fn run_without_state(controller: &Controller, rows: &Rows, n: usize, count: usize, invalid: OnInvalid) {
+    // Without a state, goals and tool have no speed limit: results equal a single step only under such settings.
+    let mut unlimited = controller.settings().clone();
+    unlimited.tracking.goal_slew = f64::INFINITY;
+    unlimited.max_tool_speed = [f64::INFINITY; 2];
+    let comparable = unlimited == *controller.settings();
     let ceiling = ceiling(controller);
     match step(controller, rows, count, invalid, None) {
         Ok(out) => {
@@ -171,14 +178,18 @@ fn stateless(controller: &Controller, rows: &Rows, n: usize, count: usize, inval
                 let [goal, limit, speed] = out.row(n, row);
                 match single.step(q, target, &input) {
                     Ok(command) => {
-                        let within = limit.iter().zip(&ceiling).all(|(limit, most)| (0.0..=*most).contains(limit));
+                        let within = limit.iter().zip(&ceiling).all(|(limit, max)| (0.0..=*max).contains(limit));
                         assert!(goal.iter().all(|goal| goal.is_finite()) && within, "row {row}: {goal:?} {limit:?}");
                         if comparable {
                             assert_same(row, [goal, limit, speed], command);
                         }
                     }
                     Err(error) => {
-                        assert_eq!(invalid, OnInvalid::Nan, "row {row} was accepted, not by a controller: {error}");
+                        assert_eq!(
+                            invalid,
+                            OnInvalid::Nan,
+                            "batch accepts row {row}, its controller does not: {error}"
+                        );
                         assert_nan([goal, limit, speed], &error);
                     }
                 }
@@ -188,8 +199,8 @@ fn stateless(controller: &Controller, rows: &Rows, n: usize, count: usize, inval
     }
 }
 
-/// Continues from a state with changed numbers, as from a damaged file.
-fn damaged(input: &mut Input, controller: &Controller, state: &BatchState, arm: &Arm, count: usize) {
+/// Continues from a state with arbitrary numbers, as from a damaged file.
+fn run_with_damaged_state(input: &mut Input, controller: &Controller, state: &BatchState, arm: &Arm, count: usize) {
     let n = arm.model.n();
     let mut values = state.as_slice().to_vec();
     for _ in 0..input.below(6) {
@@ -204,7 +215,7 @@ fn damaged(input: &mut Input, controller: &Controller, state: &BatchState, arm: 
         Ok(out) => {
             for row in 0..count {
                 let [goal, limit, _] = out.row(n, row);
-                let within = limit.iter().zip(&ceiling).all(|(limit, most)| (0.0..=*most).contains(limit));
+                let within = limit.iter().zip(&ceiling).all(|(limit, max)| (0.0..=*max).contains(limit));
                 let sendable = goal.iter().all(|goal| goal.is_finite()) && within;
                 assert!(sendable || goal.iter().all(|goal| goal.is_nan()), "row {row}: {goal:?} {limit:?}");
             }

@@ -5,7 +5,7 @@ use pliant_core::{Command, Controller, Error};
 /// Relative difference that the documentation allows between instruction sets and between single and batch steps.
 pub const TOLERANCE: f64 = 1e-11;
 
-/// Panics unless the error names what is wrong.
+/// Panics unless the error has a subject and a short explanation.
 pub fn assert_named(error: &Error) {
     let (what, rest) = match error {
         Error::Urdf { source_name, message, .. } => (source_name, message.clone()),
@@ -16,7 +16,7 @@ pub fn assert_named(error: &Error) {
         other => panic!("unknown kind of error: {other}"),
     };
     assert!(!what.trim().is_empty() || matches!(error, Error::FrameNotFound { .. }), "nothing is named: {error:?}");
-    assert!(rest.len() > 2, "nothing is said: {error:?}");
+    assert!(rest.len() > 2, "no explanation: {error:?}");
     assert!(error.to_string().len() < 20_000, "a message of {} bytes", error.to_string().len());
 }
 

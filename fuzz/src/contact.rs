@@ -6,15 +6,15 @@ use super::arms::{CONTROLLERS, controller};
 use super::checks::assert_named;
 use super::input::Input;
 
-/// Most readings in one run.
+/// Maximum number of readings in one run.
 const READINGS: usize = 24;
 
-/// Makes an estimator and updates it beside a running controller.
+/// Creates an estimator and updates it beside a running controller.
 pub fn run(data: &[u8]) {
     let mut input = Input::new(data);
-    let (arm, made) = controller(input.below(CONTROLLERS));
+    let (arm, initial) = controller(input.below(CONTROLLERS));
     let n = arm.model.n();
-    let mut controller = made.clone();
+    let mut controller = initial.clone();
     let usual = ContactOptions::default();
     let options = ContactOptions {
         filter: input.number(usual.filter),

@@ -10,7 +10,7 @@ use super::checks::assert_named;
 use super::input::Input;
 use super::step::pose;
 
-/// Computes one of the equations, or a chain of them.
+/// Computes one equation, or several that use each other's results.
 pub fn run(data: &[u8]) {
     let mut input = Input::new(data);
     let kind = input.below(4);
@@ -38,7 +38,7 @@ fn matrix(input: &mut Input, rows: usize, columns: usize) -> DMatrix<f64> {
     out
 }
 
-/// Panics unless the result is finite or names its error; returns it if there is one.
+/// Returns the result; `None` for an error. Panics if the result is not finite or the error does not name its cause.
 fn checked(what: &str, result: pliant_core::Result<DMatrix<f64>>) -> Option<DMatrix<f64>> {
     match result {
         Ok(values) => {

@@ -1,6 +1,6 @@
-//! Reader that turns bytes into choices and numbers; past the end of the bytes all of them are 0.
+//! Reader that converts the fuzzer's bytes to choices and numbers; after the last byte it reads zeros.
 
-/// Numbers that often break formulas: not finite, huge, tiny, subnormal, and whole turns.
+/// Numbers that often break formulas: not finite, huge, tiny and subnormal ones, zeros, π, and usual bounds.
 const SPECIAL: [f64; 24] = [
     f64::NAN,
     f64::INFINITY,
@@ -28,7 +28,7 @@ const SPECIAL: [f64; 24] = [
     1e150,
 ];
 
-/// Reader of the fuzzer's bytes.
+/// Reader of the fuzzer's bytes, which are interpreted as choices and numbers.
 pub struct Input<'a>(&'a [u8]);
 
 impl<'a> Input<'a> {
@@ -62,12 +62,12 @@ impl<'a> Input<'a> {
         from[self.below(from.len())].clone()
     }
 
-    /// Returns a number near `usual`, a special one, or one of any bits.
+    /// Returns `usual`, a number near it, a special number, or a number of arbitrary bits.
     pub fn number(&mut self, usual: f64) -> f64 {
         let kind = self.byte();
         match kind % 8 {
             0..4 => usual,
-            // From -1.28 to 1.27 times the usual number, or that much beside 0.
+            // From -1.28 to 1.27 times the usual number; if that is 0, from -1.28 to 1.27.
             4 => (if usual == 0.0 { 1.0 } else { usual }) * f64::from(self.byte().cast_signed()) / 100.0,
             5 => usual + f64::from(self.byte().cast_signed()) / 50.0,
             6 => SPECIAL[usize::from(kind / 8) % SPECIAL.len()],
@@ -75,14 +75,14 @@ impl<'a> Input<'a> {
         }
     }
 
-    /// Returns a number of any bits.
+    /// Returns the number with the bits of the next eight bytes.
     pub fn bits(&mut self) -> f64 {
         let mut bytes = [0; 8];
         bytes.iter_mut().for_each(|byte| *byte = self.byte());
         f64::from_le_bytes(bytes)
     }
 
-    /// Returns `usual` with up to three numbers replaced, rarely with another length.
+    /// Returns `usual` with up to three numbers replaced, and sometimes with another length.
     pub fn vector(&mut self, usual: &[f64]) -> Vec<f64> {
         let mut values = usual.to_vec();
         let kind = self.byte();

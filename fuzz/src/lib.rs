@@ -1,4 +1,5 @@
-//! Fuzz targets of the core: each takes any bytes, calls the core and panics if an invariant does not hold.
+//! Fuzz targets of the core: each interprets arbitrary bytes as calls of the core, and panics if an invariant is
+//! violated.
 //!
 //! The programs in `fuzz_targets` call them from libFuzzer; `rust/core/tests/fuzz_corpus.rs` includes this file and
 //! replays the inputs in `corpus` with the stable compiler.
@@ -16,7 +17,7 @@ mod arms;
 mod checks;
 mod input;
 
-/// A target: takes any bytes, and panics if an invariant does not hold.
+/// A fuzz target: accepts arbitrary bytes, and panics if an invariant is violated.
 pub type Target = fn(&[u8]);
 
 /// Names of the targets, as in `fuzz_targets` and `corpus`, and their functions.

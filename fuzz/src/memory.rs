@@ -1,22 +1,22 @@
-//! Allocator that measures how much memory a call holds at its peak.
+//! Allocator that measures the peak memory use of a call.
 #![allow(unsafe_code, reason = "an allocator is an unsafe trait")]
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
 thread_local! {
-    static NOW: Cell<isize> = const { Cell::new(0) };
+    static ALLOCATED: Cell<isize> = const { Cell::new(0) };
     static PEAK: Cell<isize> = const { Cell::new(0) };
 }
 
-/// Allocator that counts the bytes held by the current thread.
+/// Allocator that counts the bytes that the current thread has allocated and not yet freed.
 pub struct Counting;
 
 fn add(bytes: isize) {
-    // At the end of a thread its counters no longer exist, so the access may fail.
-    let _ = NOW.try_with(|now| {
-        now.set(now.get() + bytes);
-        let _ = PEAK.try_with(|peak| peak.set(peak.get().max(now.get())));
+    // The access fails at the end of a thread, when its counters have been destroyed.
+    let _ = ALLOCATED.try_with(|allocated| {
+        allocated.set(allocated.get() + bytes);
+        let _ = PEAK.try_with(|peak| peak.set(peak.get().max(allocated.get())));
     });
 }
 
@@ -51,9 +51,10 @@ unsafe impl GlobalAlloc for Counting {
     }
 }
 
-/// Returns the most bytes that `work` holds at one time; 0 unless [`Counting`] is the program's allocator.
+/// Runs `work`; returns its result and the peak number of bytes that it has allocated, which is 0 unless [`Counting`]
+/// is the program's global allocator.
 pub fn peak<T>(work: impl FnOnce() -> T) -> (T, usize) {
-    let before = NOW.get();
+    let before = ALLOCATED.get();
     PEAK.set(before);
     let result = work();
     (result, usize::try_from(PEAK.get() - before).unwrap_or(0))

@@ -1,4 +1,4 @@
-//! Settings, servos and snapshots with arbitrary numbers: a controller whose steps are sendable, or an error.
+//! Settings, servos and snapshots with arbitrary numbers: a controller whose commands are valid, or an error.
 
 use std::sync::Arc;
 
@@ -12,7 +12,7 @@ use super::arms::{ARMS, Arm, arm};
 use super::checks::{assert_named, assert_sendable, bits, ceiling};
 use super::input::Input;
 
-/// Makes a controller, steps it, updates its settings, steps it, and continues from a changed snapshot.
+/// Creates a controller, steps it before and after an update of its settings, and continues from a changed snapshot.
 pub fn run(data: &[u8]) {
     let mut input = Input::new(data);
     let arm = arm(input.below(ARMS));

@@ -1,5 +1,5 @@
-//! Calls of a running controller with arbitrary numbers: a sendable command or an error that changes nothing, the same
-//! with every instruction set.
+//! Calls of a running controller with arbitrary numbers: each gives a valid command, or an error that changes nothing;
+//! results agree between instruction sets.
 
 use pliant_core::params::CompliantSide;
 use pliant_core::{Controller, Error, Law, Payload, Pose, Result, SimdLevel, StepInput};
@@ -8,10 +8,10 @@ use super::arms::{CONTROLLERS, controller};
 use super::checks::{assert_named, assert_near, assert_sendable, bits, ceiling};
 use super::input::Input;
 
-/// Most calls in one run.
+/// Maximum number of calls in one run.
 const CALLS: usize = 24;
 
-/// Largest number in gradient, speed, posture and twist for which instruction sets are compared.
+/// Instruction sets are compared only if no number in gradient, speed, posture and twist is larger.
 const LARGEST_USUAL: f64 = 10.0;
 
 /// One call of a controller, with its arguments.
@@ -26,7 +26,7 @@ pub enum Call {
     CaptureGravity { q: Vec<f64>, goal: Vec<f64> },
 }
 
-/// Optional inputs of a step, owned.
+/// Optional inputs of a step, as [`StepInput`] but owned.
 #[derive(Debug)]
 pub struct Optional {
     dt: Option<f64>,
@@ -38,7 +38,7 @@ pub struct Optional {
 
 impl Optional {
     fn read(input: &mut Input, n: usize) -> Self {
-        // One byte says which of the five are present.
+        // The bits of one byte select the inputs that are present.
         let present = input.byte();
         let list =
             |bit: u8, input: &mut Input, usual: f64| (present >> bit & 1 == 1).then(|| input.vector(&vec![usual; n]));
@@ -103,8 +103,8 @@ impl Call {
         matches!(self, Self::Step { .. } | Self::StepJoints { .. })
     }
 
-    /// Returns true if rounding errors stay below the documented tolerance: accelerations are differences divided by the
-    /// square of the period, and of a large gradient or speed the step may leave a small part.
+    /// Returns true if rounding errors stay below the documented tolerance. They do not for short periods, by whose
+    /// square accelerations are divided, and for large numbers of which only a small part remains in the result.
     fn has_usual_numbers(&self) -> bool {
         let (Self::Step { optional, .. } | Self::StepJoints { optional, .. }) = self else { return true };
         let vectors = [&optional.dq, &optional.gradient, &optional.posture].into_iter().flatten().flatten();
@@ -127,7 +127,7 @@ impl Call {
     }
 }
 
-/// Panics unless both controllers give the same result, to the bit, for the next step.
+/// Panics unless the next step of both controllers has bit-identical results.
 pub fn assert_same_next(one: &Controller, other: &Controller, q: &[f64], target: &Pose, error: &Error) {
     let next = |controller: &Controller| {
         let mut controller = controller.clone();
@@ -137,12 +137,12 @@ pub fn assert_same_next(one: &Controller, other: &Controller, q: &[f64], target:
     assert_eq!(next(one), next(other), "the controller has changed after: {error}");
 }
 
-/// Runs calls on one of the controllers of [`controller`].
+/// Runs calls on one controller.
 pub fn run(data: &[u8]) {
     let mut input = Input::new(data);
-    let (arm, made) = controller(input.below(CONTROLLERS));
+    let (arm, initial) = controller(input.below(CONTROLLERS));
     let levels = SimdLevel::available();
-    let mut controller = made.clone();
+    let mut controller = initial.clone();
     controller.set_simd_level(input.pick(&levels));
     let other_level = input.pick(&levels);
     let ceiling = ceiling(&controller);
@@ -160,9 +160,9 @@ pub fn run(data: &[u8]) {
             assert_same_next(&controller, &before, &arm.q, &arm.target, error);
         } else if let (true, Some(command)) = (call.is_step(), controller.last_command()) {
             assert_sendable(command, &ceiling);
-            // Later calls start from accepted inputs, so that the state moves away from the start.
+            // Later calls start from the inputs of accepted calls, so that the state moves away from the start.
             match &call {
-                Call::Step { q: measured, target: wanted, .. } => (q, target) = (measured.clone(), *wanted),
+                Call::Step { q: measured, target: accepted, .. } => (q, target) = (measured.clone(), *accepted),
                 Call::StepJoints { q: measured, .. } => q.clone_from(measured),
                 _ => {}
             }
@@ -173,11 +173,12 @@ pub fn run(data: &[u8]) {
     }
 }
 
-/// Panics unless the call has the same result with another instruction set, up to rounding for usual numbers.
+/// Panics unless the call has the same result with another instruction set: the same error, or, for usual numbers, a
+/// command that agrees up to rounding.
 fn compare(call: &Call, before: Controller, level: SimdLevel, controller: &Controller, result: &Result<()>) {
     let mut other = before;
     other.set_simd_level(level);
-    // As text: the error of a NaN holds it, and is not equal to itself.
+    // Compare texts, because an error that contains a NaN is not equal to itself.
     assert_eq!(
         format!("{result:?}"),
         format!("{:?}", call.apply(&mut other)),
@@ -193,7 +194,8 @@ fn compare(call: &Call, before: Controller, level: SimdLevel, controller: &Contr
     }
     if let (Ok(()), Some(got), Some(want)) = (result, other.last_command(), controller.last_command()) {
         assert_near(|| format!("goal after {call:?} with {level}"), got.goal(), want.goal());
-        // The bound on the force after a host loss is searched in steps of 1/64 of the limits: rounding may choose another.
+        // The limits that bound the force after a host loss are found by bisection: rounding may end it at another
+        // step.
         if controller.settings().torque_limits.max_host_loss_force.is_none() {
             assert_near(
                 || format!("torque_limit after {call:?} with {level}"),
@@ -205,20 +207,20 @@ fn compare(call: &Call, before: Controller, level: SimdLevel, controller: &Contr
     }
 }
 
-/// Largest deviation [m, rad] that rounding makes of zero.
+/// Largest deviation [m, rad] that can be zero plus rounding errors.
 const ROUNDED_ZERO: f64 = 1e-12;
 
-/// Ratio of the smallest to the largest singular value below which rounding errors, which grow with the inverse of its
-/// square, exceed the tolerance.
+/// Ratio of the smallest to the largest singular value below which rounding errors exceed the tolerance; they grow with
+/// the inverse square of this ratio.
 const SINGULAR: f64 = 0.01;
 
-/// Length [m/rad] of a Jacobian row below which its rounding error is more than the tolerance of its direction.
+/// Length [m/rad] of a Jacobian row below which rounding errors change its direction by more than the tolerance.
 const SHORT_ROW: f64 = 1e-4;
 
-/// Returns true if rounding decides on the torque limits of law `paper`.
+/// Returns true if rounding errors determine the torque limits of law `paper`.
 ///
-/// Without a direction band, its default, the sign of the deviation selects the strength of an axis that yields to one
-/// side only. The shares (10) of the joints in an axis that none of them moves are ratios of rounding errors.
+/// Without a direction band, which is the default, the sign of the deviation selects the strength of an axis that
+/// yields to one side only. For an axis that no joint moves, the shares of the joints are ratios of rounding errors.
 fn is_undetermined(one: &Controller, other: &Controller) -> bool {
     let settings = one.settings();
     if settings.law != Law::Paper {

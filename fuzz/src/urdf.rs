@@ -1,4 +1,4 @@
-//! URDF text: a model with finite kinematics or an error, in memory bounded by the text.
+//! Arbitrary URDF text: a model with finite kinematics, or an error; memory use is bounded by the size of the text.
 
 use std::sync::Arc;
 
@@ -8,9 +8,9 @@ use pliant_core::{Controller, Model, ModelOptions, Servos, Settings, StepInput};
 use super::checks::{assert_named, assert_sendable};
 use super::memory::peak;
 
-/// Bytes held at most per byte of text, and beside it.
+/// Bound on the memory use: bytes per byte of text, plus a constant number of bytes.
 const BYTES_PER_BYTE: usize = 400;
-const BYTES_BESIDE: usize = 1 << 20;
+const CONSTANT_BYTES: usize = 1 << 20;
 
 /// Reads the bytes as URDF, with the default tip and with the tip `tool`; uses the model if there is one.
 pub fn run(data: &[u8]) {
@@ -18,7 +18,7 @@ pub fn run(data: &[u8]) {
     for tip in [None, Some("tool".to_owned())] {
         let options = ModelOptions { tip, ..ModelOptions::default() };
         let (result, bytes) = peak(|| Model::from_urdf_str(text, &options));
-        assert!(bytes <= BYTES_BESIDE + BYTES_PER_BYTE * text.len(), "{bytes} bytes for a text of {}", text.len());
+        assert!(bytes <= CONSTANT_BYTES + BYTES_PER_BYTE * text.len(), "{bytes} bytes for a text of {}", text.len());
         match result {
             Ok(model) => use_model(model),
             Err(error) => assert_named(&error),

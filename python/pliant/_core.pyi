@@ -96,7 +96,7 @@ class _HasA(Protocol):
     @property
     def A(self) -> ArrayLike: ...
 
-#: A 4x4 array, a `Pose`, or any object with a 4x4 accessor; (3,) where the task has no rotations.
+#: A 4x4 array, a `Pose`, or an object with a 4x4 accessor; for a task without rotations also (3,).
 _PoseLike: TypeAlias = (
     ArrayLike | Pose | _HasMatrix | _HasMatrixMethod | _HasAsMatrix | _HasHomogeneous | _HasA
 )
@@ -176,10 +176,10 @@ class ServoFaultError(ServoError):
 
 @final
 class Pose:
-    """Pose of one frame in another; of a tool, `base_from_tool`. Immutable.
+    """Pose of one frame in another, e.g. `base_from_tool` of a tool. Immutable.
 
     Args:
-        matrix: (4, 4), or any argument of `as_pose`; None: identity.
+        matrix: Homogeneous matrix (4, 4), or another argument of `as_pose`; None: identity.
 
     Raises:
         ShapeError: The matrix is not 4x4.
@@ -230,7 +230,7 @@ class Pose:
 
     @property
     def rotvec(self) -> _Array:
-        """Rotation vector (3,) [rad], of length pi at most."""
+        """Rotation vector (3,) [rad], with a norm of at most pi."""
 
     def inverse(self) -> Pose:
         """Return the inverse pose: `b_from_a` for a pose `a_from_b`."""
@@ -246,9 +246,9 @@ def as_pose(pose: _PoseLike, /) -> Pose:
     """Convert an array or an object of another library to a `Pose`.
 
     Args:
-        pose: (4, 4), a `Pose`, a position (3,) (without rotation), or an object with `homogeneous`,
-            `as_matrix`, `matrix` or `A`, as in Pinocchio, SciPy, mink, pytransform3d and Spatial
-            Math.
+        pose: A matrix (4, 4), a `Pose`, a position (3,) (without rotation), or an object with
+            `homogeneous`, `as_matrix`, `matrix` or `A`, as in Pinocchio, SciPy, mink, pytransform3d
+            and Spatial Math.
 
     Raises:
         ShapeError: `pose` has another shape. Seven numbers are rejected, since the order of a
@@ -387,15 +387,18 @@ class Joint:
 
     @property
     def q_index(self) -> int | None:
-        """Index in `q` of the coordinate that moves the joint, also by mimic; None without one."""
+        """Index in `q` of the independent joint that moves this one; None if nothing moves it.
+
+        An independent joint has its own index, a mimic joint that of the joint that drives it.
+        """
 
     @property
     def locked_at(self) -> float | None:
-        """Position [rad or m] of a locked actuated joint without a coordinate; else None."""
+        """Position [rad or m] at which an actuated joint is locked; None if it is not locked."""
 
 @final
 class IkResult:
-    """Result of a search by inverse kinematics; true if it converged."""
+    """Result of an inverse-kinematics search; its truth value is `converged`."""
 
     @property
     def q(self) -> _Array:
@@ -419,7 +422,7 @@ class IkResult:
 
     @property
     def reason(self) -> str:
-        """Reason for the end of the search."""
+        """Reason why the search ended, as text."""
 
     def __bool__(self) -> bool: ...
 
@@ -450,7 +453,7 @@ class Model:
             base: Link in which poses are given; default: the root.
             tip: Tool frame; optional if only one link has no child.
             locked: Positions [rad or m] of locked joints by name. Other actuated joints beside the
-                chain are locked at 0, or at the limit nearest to it. Their mass counts.
+                chain are locked at 0, or at the limit nearest to 0. Locked joints keep their mass.
             payload: Payload of the tool: a `Payload`, or mass [kg] and centre of mass (3,) [m] in
                 the tool frame.
             gravity: Gravity (3,) in the base [m/s^2].
@@ -536,7 +539,7 @@ class Model:
 
     @property
     def reach_origin(self) -> _Array:
-        """Origin of the first joint at q = 0 (3,), in the base [m]; `reach` counts from there."""
+        """Origin (3,) of the first joint at q = 0, in the base [m]: the centre of `reach`."""
 
     @property
     def gravity_vector(self) -> _Array:
@@ -637,7 +640,7 @@ class Model:
             target: Pose of the tool in the base, or a position (3,) [m].
 
         Raises:
-            OutOfRangeError: The distance from the first joint exceeds 2 times `reach` plus 0.1 m.
+            OutOfRangeError: The distance from `reach_origin` exceeds 2 times `reach` plus 0.1 m.
             ShapeError, ConfigError, TypeError: The target is not a pose.
         """
 
@@ -677,7 +680,7 @@ class Model:
     def forward_kinematics_batch(self, Q: ArrayLike, out: _Array | None = None) -> _Array:
         """Compute poses (N, 4, 4) of configurations `Q` (N, n) [rad or m].
 
-        Arguments and exceptions as `kinematics_batch`; runs on all cores with the GIL released.
+        See `kinematics_batch` for arguments and exceptions.
         """
 
     def jacobian_batch(
@@ -685,13 +688,13 @@ class Model:
     ) -> _Array:
         """Compute Jacobians (N, 6, n) of configurations `Q` (N, n) [rad or m].
 
-        Arguments and exceptions as `kinematics_batch`; runs on all cores with the GIL released.
+        See `kinematics_batch` for arguments and exceptions.
         """
 
     def gravity_batch(self, Q: ArrayLike, out: _Array | None = None) -> _Array:
-        """Compute holding torques (N, n) [N m or N] at configurations `Q` (N, n) [rad or m].
+        """Compute the torques (N, n) [N m or N] that hold the arm at rest in `Q` (N, n) [rad or m].
 
-        Arguments and exceptions as `kinematics_batch`; runs on all cores with the GIL released.
+        See `kinematics_batch` for arguments and exceptions.
         """
 
 class _ServoFields(TypedDict, total=False):
@@ -712,7 +715,7 @@ class _ServoFields(TypedDict, total=False):
 
 @final
 class Servos:
-    """Servo parameters that the controller assumes; one number per joint, or one for all. Frozen.
+    """Servo parameters that the controller assumes: one number per joint, or one for all. Frozen.
 
     Units are N m and rad; N and m for prismatic joints.
 
@@ -725,13 +728,13 @@ class Servos:
         load_stribeck: Additional dry friction at rest per N m of load torque [1].
         stribeck_speed: Speed at which a third of the additional friction at rest is left [rad/s] >
             0.
-        damping: Damping of gears and back-EMF, outside the torque limit [N m s/rad].
-        kv: Damping of the servo's own loop, inside the torque limit [N m s/rad].
-        armature: Rotor inertia at the joint [kg m^2]; used by contact estimation, descents and
+        damping: Damping of gears and back-EMF [N m s/rad], which the torque limit does not bound.
+        kv: Derivative gain of the position loop [N m s/rad]; the torque limit includes its torque.
+        armature: Rotor inertia at the joint [kg m^2]; used by `ContactEstimator`, `Lowering` and
             simulators.
         encoder_step: Angle of one encoder count [rad]; 0 to neglect it.
-        limit_type: Quantity that the limit register limits: `"current"`, hence torque, or `"pwm"`,
-            whose torque falls with speed.
+        limit_type: Quantity that the limit register limits: `"current"`, which limits the torque,
+            or `"pwm"`, with which the available torque decreases with speed.
         no_load_speed: Speed without load [rad/s]; required for `"pwm"`.
         stiffness_known: True if `kp` is known within 10 %.
 
@@ -788,11 +791,11 @@ class Servos:
 
     @property
     def damping(self) -> _Array:
-        """Damping of gears and back-EMF, outside the torque limit (n,) [N m s/rad]."""
+        """Damping of gears and back-EMF (n,) [N m s/rad], which the torque limit does not bound."""
 
     @property
     def kv(self) -> _Array:
-        """Damping of the servo's own loop, inside the torque limit (n,) [N m s/rad]."""
+        """Derivative gain of the position loop (n,) [N m s/rad]; within the torque limit."""
 
     @property
     def armature(self) -> _Array:
@@ -824,7 +827,7 @@ class Servos:
         """Create servos from the tables of `pliant.servo`, one model per joint.
 
         Args:
-            models: Servo models, base to tip; as `pliant.servo.list_models()` lists them.
+            models: Servo models, base to tip; names as in `pliant.servo.list_models()`.
             voltage: Supply voltage [V]; default: the rated one of each model.
             gains: Values of the gain registers; None: the factory setting.
 
@@ -913,22 +916,23 @@ class _AxisFields(TypedDict, total=False):
 class Axis:
     """Settings of one task axis. Frozen; None selects the default.
 
-    Default strengths depend on law and arm. They are forces [N] ([N m] for rotations) under the
-    laws `"cap"` and `"impedance"`, torque budgets [N m] under law `"paper"`. A pair is (pushed
-    toward -, pushed toward +).
+    A strength (`soft`, `firm`, `hold`) is a force [N] ([N m] for rotations) under the laws `"cap"`
+    and `"impedance"`, a torque budget [N m] under law `"paper"`; its default depends on law and
+    arm. A pair is (pushed toward -, pushed toward +).
 
     Args:
-        soft: Strength of the yielding axis at a small deviation, tau- of (9).
-        firm: Strength of the yielding axis at a large deviation, tau+ of (9).
+        soft: Strength of the yielding axis at a small deviation; tau- in eq. (9) of the paper.
+        firm: Strength of the yielding axis at a large deviation; tau+ in eq. (9) of the paper.
         hold: Strength of a side that does not yield.
         stiffness: Law impedance: spring [N/m or N m/rad]; default 0 for a side that yields, else
             derived from the arm (`arm7`: 800 N/m, 20 N m/rad).
         damping: Law impedance: damper [N s/m or N m s/rad]; default 0.
         yields: Sides that yield, by the direction of the push; default `"both"` if `soft` or `firm`
             is given, else `"none"`.
-        adaptation: Target adaptation of (12), 0 <= eta < 1.
-        soft_until: Deviation below which compliance is 1, (8) [m or rad]; default 0.01 m, 0.04 rad.
-        firm_from: Deviation above which compliance is 0, (8) [m or rad]; default 0.10 m, 0.40 rad.
+        adaptation: Share eta of the deviation by which the target follows the tool, 0 <= eta < 1;
+            eq. (12) of the paper.
+        soft_until: Deviation below which compliance is 1 [m or rad]; default 0.01 m, 0.04 rad.
+        firm_from: Deviation above which compliance is 0 [m or rad]; default 0.10 m, 0.40 rad.
         profile: Strength for deviations from `soft_until` to `firm_from`: `"hardening"`: from soft
             to firm; `"constant"`: soft; `"softening"`: from firm to soft.
         max_velocity: Largest commanded velocity while the axis is stiff [m/s, rad/s]; default 0.4
@@ -990,7 +994,7 @@ class Axis:
 
     @property
     def adaptation(self) -> float:
-        """Target adaptation eta of (12), 0 <= eta < 1."""
+        """Share eta of the deviation by which the target follows the tool, 0 <= eta < 1."""
 
     @property
     def soft_until(self) -> float | None:
@@ -1046,14 +1050,16 @@ class Tracking:
     Fields that are not given keep the values of the preset or of the replaced settings.
 
     Args:
-        gain: Gain K_x of (5) [1/s]: a number, or one per axis of the task.
-        damping: Damping of the inverse: lambda; or (lambda_0, sigma_0, lambda_max); None: derived
-            from the arm.
+        gain: Gain K_x [1/s], eq. (5) of the paper: a number, or one per axis of the task.
+        damping: Damping of the inverse kinematics: lambda, or (lambda_0, sigma_0, lambda_max);
+            None: derived from the arm.
         velocity_filter: Time constant of the velocity filter [s].
-        goal_slew: Speed limit of the goals [rad/s]; None: no limit. In a step, all goals move the
-            same share of their distance; the gravity offset in them moves first and independently.
+        goal_slew: Speed limit of the goals [rad/s]; None: no limit. If it acts, the part of the
+            goals that carries gravity changes first; with what is left of the limit, all goals
+            cover the same share of their remaining distances.
         joint_speed: Joint speed limits (n,) [rad/s]; None: those of the model.
-        integrate: Rate at which the goal of stiff axes integrates [1/s]; 0: no integration.
+        integrate: Rate of the integral action [1/s]: the lead goal - q of the stiff axes
+            accumulates in the goal; 0: no integral action.
 
     Raises:
         ConfigError, OutOfRangeError, ShapeError: A field is unknown, or its value is invalid.
@@ -1266,10 +1272,10 @@ class PaperOptions:
         follow: `"free"`: the inverse kinematics leave out yielding axes, which exert exactly their
             force; `"hold"`: they contain all axes; None: `"hold"` under law paper, else `"free"`.
             Law impedance has no inverse kinematics.
-        limits: Rule of the laws cap and impedance for the joint torque limits: `"demand"` of the
-            present step, or the `"sum"` over all axes of their largest demands.
+        limits: Torque limits under the laws cap and impedance: `"demand"`: the torque that the law
+            demands in the present step; `"sum"`: the sum over all axes of their largest demands.
         horizon: Horizon h of the goal q + h dq [s].
-        kq: Gain K_q of (5), law paper: a number, one per joint, or a matrix.
+        kq: Law paper: gain K_q, eq. (5) of the paper: a number, one per joint, or a matrix.
         joint_weights: Law paper: weight of each joint in J+ (n,); None: 1.
         posture_weights: Weight of each joint in the posture cost (n,); None: 1.
         manipulability: Weight of the manipulability cost.
@@ -1370,7 +1376,7 @@ class Settings:
         axes: `Axis` by axis key, e.g. ``{"y": Axis(soft=4.0), "xz": Axis(hold=40.0)}``; the other
             axes are stiff.
         law: `"cap"`: force caps per axis; `"impedance"`: a spring and a damper per axis, with force
-            caps; `"paper"`: equations (3)-(12), torque budgets per axis.
+            caps; `"paper"`: equations (3) to (12) of the paper, torque budgets per axis.
         rate: Nominal control rate [Hz]: the default `dt` of a step is 1 / rate.
         delay: Time from reading the positions to the arrival of the goal [s].
         gravity: Use the gravity model in goals and limits.
@@ -1423,7 +1429,7 @@ class Settings:
 
     @classmethod
     def soft(cls, axes: str, /, **overrides: Unpack[_SettingsFields]) -> Settings:
-        """Preset in which the named axes yield both ways: default strengths, eta 0.9."""
+        """Preset in which the named axes yield both ways: default strengths, `adaptation` 0.9."""
 
     @classmethod
     def firm(cls, **overrides: Unpack[_SettingsFields]) -> Settings:
@@ -1431,7 +1437,7 @@ class Settings:
 
     @classmethod
     def door(cls, **overrides: Unpack[_SettingsFields]) -> Settings:
-        """Preset for doors: y and yaw follow the handle (eta 0.999); null-space gain 1 [1/s]."""
+        """Preset for doors: y and yaw follow the handle (`adaptation` 0.999), weak posture task."""
 
     @classmethod
     def drawer(
@@ -1477,7 +1483,7 @@ class Settings:
 
     @classmethod
     def hand_guiding(cls, **overrides: Unpack[_SettingsFields]) -> Settings:
-        """Preset for guiding by hand: all axes yield (eta 0.95); null-space gain 1 [1/s]."""
+        """Preset for guiding by hand: all axes yield (`adaptation` 0.95); weaker posture task."""
 
     def raise_soft(
         self, model: Model, path: ArrayLike | None = None, *, servos: Servos | None = None
@@ -1486,12 +1492,12 @@ class Settings:
 
         At this strength, the error on a sinusoid is below a tenth of its amplitude if friction is
         known within 30 % and the delay is one tick each way. A softer axis may not start or
-        reverse. A larger `soft` stays; `firm` and `hold` are raised to at least `soft`.
+        reverse. A larger `soft` is kept; `firm` and `hold` are raised to at least `soft`.
 
         Args:
             model: The arm.
-            path: Postures (n,) or (N, n) [rad]; the friction is that of the worst one. None: the
-                median over the joint space.
+            path: Postures (n,) or (N, n) [rad], of which the largest friction is used. None: the
+                median friction over the joint space.
             servos: None: those of the model.
         """
 
@@ -1558,17 +1564,17 @@ class Command:
     def speed_limit(self) -> _Array:
         """Speed for the servos' speed register (n,) [rad/s].
 
-        The largest speed at which this joint alone keeps the tool within `max_tool_speed`, but at
-        least `goal_slew`: with a slower profile the servo lags behind its goals and exerts an
+        The largest speed at which this joint alone keeps the tool within `Settings.max_tool_speed`,
+        but at least `Tracking.goal_slew`: a slower servo would lag behind its goals and exert an
         unintended force. inf if neither tool nor joint has a speed limit.
         """
 
 @final
 class BatchState:
-    """State of many arms between batch steps; made by `Controller.batch_state`.
+    """State of many arms between batch steps; created by `Controller.batch_state`.
 
-    Any controller of arms with the same number of joints can continue with it. It can be copied,
-    and pickled for the same version; concurrent calls must not share it. `len` is the number of
+    Any controller of an arm with the same number of joints can continue from it. It can be copied,
+    and pickled for the same version. Concurrent calls must not share it. `len` is the number of
     arms.
 
     Args:
@@ -1607,7 +1613,7 @@ class JointStop:
     def distance(self) -> float:
         """Displacement of the axis at which the limit is met [m, rad].
 
-        Beyond it the stop carries part of a push, and the force cap of the axis is not kept.
+        Beyond it the stop carries part of a push, which then exceeds the force cap of the axis.
         """
 
     @property
@@ -1618,7 +1624,7 @@ class JointStop:
     def friction(self) -> float:
         """Friction of the other joints along the axis at the stop [N, N m].
 
-        inf if they cannot move the axis alone: the stop then carries everything above the cap.
+        inf if they cannot move the axis: the stop then carries all force above the cap.
         """
 
     def __eq__(self, other: object, /) -> bool: ...
@@ -1653,9 +1659,9 @@ class AxisReport:
 
     @property
     def yield_force(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Force [N, N m] at which a side yields without friction, at a small and a large deviation.
+        """Forces [N, N m] at which a side yields without friction: at small and large deviation.
 
-        The deviations are `thresholds`, at most 0.15 m or 0.4 rad.
+        One pair per side (-, +). The deviations are `thresholds`, at most 0.15 m or 0.4 rad.
         """
 
     @property
@@ -1671,16 +1677,16 @@ class AxisReport:
 
     @property
     def friction_left(self) -> float:
-        """Friction in steady motion that the feed-forward does not compensate [N, N m].
+        """Friction along the axis in motion that the feed-forward does not compensate [N, N m].
 
         The axis keeps moving only if its strength exceeds this friction.
         """
 
     @property
     def coupling(self) -> tuple[float, float]:
-        """Strength that would remain if the axis itself had none [N, N m].
+        """Strength that would remain if the strength of this axis were 0 [N, N m].
 
-        The other axes cause it: they raise the torque limits of the same joints.
+        The other axes cause it, because they raise the torque limits of the same joints.
         """
 
     @property
@@ -1699,32 +1705,32 @@ class AxisReport:
     def host_loss_force(self) -> tuple[float, float]:
         """Largest force on a hand that pushes along the axis if the host is lost now [N, N m].
 
-        Over 0.15 m or 0.4 rad at 25 mm/s or 0.067 rad/s, from the arm's equilibrium, with gear
-        friction and damping; inf if the arm cannot be moved so far, because it is stretched out or
-        at position limits.
+        Includes gear friction and damping. The push starts at the arm's equilibrium and moves 0.15
+        m at 25 mm/s, or 0.4 rad at 0.067 rad/s. inf if the arm cannot be moved so far, because it
+        is stretched out or at position limits.
         """
 
     @property
     def stop(self) -> tuple[JointStop | None, JointStop | None]:
-        """First position limit on the path of a push along the axis, the other axes fixed.
+        """First position limit that a push along the axis reaches; the other axes are fixed.
 
         None if no joint meets one within 0.15 m or 0.4 rad.
         """
 
     @property
     def path_friction(self) -> tuple[float, float]:
-        """Largest joint friction along the axis on the path of a push, up to the stop [N, N m].
+        """Largest joint friction along the axis during a push of 0.15 m or 0.4 rad [N, N m].
 
-        Many times `friction` if the path passes a singular pose.
+        The push ends at the first stop. Many times `friction` if it passes a singular pose.
         """
 
     @property
     def path_sigma(self) -> tuple[float, float]:
-        """Smallest singular value, as `PoseReport.sigma_min`, at the place of `path_friction`."""
+        """Smallest singular value, as `PoseReport.sigma_min`, where `path_friction` occurs."""
 
     @property
     def path_distance(self) -> tuple[float, float]:
-        """Displacement of the axis at the place of `path_friction` [m, rad]."""
+        """Displacement of the axis where `path_friction` occurs [m, rad]."""
 
     @property
     def deviation_limit(self) -> tuple[float, float]:
@@ -1739,9 +1745,9 @@ class AxisReport:
 
 @final
 class PoseReport:
-    """Capabilities of one pose under the present settings.
+    """Capabilities of the arm in one pose under the present settings.
 
-    Arrays have one row per joint (n). `str` gives a table and the sentences.
+    Arrays have one row per joint (n). `str` returns a table and the sentences of `summary`.
     """
 
     @property
@@ -1762,7 +1768,7 @@ class PoseReport:
 
     @property
     def gravity_margin(self) -> _Array:
-        """Torque limit L beyond gravity g (n, 2) [N m]: L - g, L + g; negative: the joint falls."""
+        """Torque limit minus and plus gravity (n, 2) [N m]; negative: the joint cannot hold."""
 
     @property
     def sigma_min(self) -> float:
@@ -1800,26 +1806,26 @@ class PoseReport:
         """Factor <= 1 on the damping of law impedance."""
 
     def summary(self) -> list[str]:
-        """Return one sentence per axis, and one per problem."""
+        """Return sentences: strength of each axis, problems, forces after a host loss."""
 
     def __eq__(self, other: object, /) -> bool: ...
     def __ne__(self, other: object, /) -> bool: ...
 
 @final
 class Issue:
-    """One requirement of the settings that the arm cannot fulfil in a pose."""
+    """A requirement of the settings that the arm cannot meet in a pose, or a note."""
 
     @property
     def pose(self) -> int:
-        """Index of the worst pose on the path."""
+        """Index of the pose on the path in which the requirement is missed most."""
 
     @property
     def about(self) -> str:
-        """Axis with its side, e.g. `+y`, or joint."""
+        """Subject: an axis with its side, e.g. `+y`, a joint, the singular value or the target."""
 
     @property
     def required(self) -> bool:
-        """True if the settings give the value explicitly; an unmet default is only a note."""
+        """True if the path is not achievable because of it; False for a note, e.g. on a default."""
 
     @property
     def reason(self) -> str:
@@ -1838,7 +1844,7 @@ class Issue:
 
 @final
 class FeasibilityReport:
-    """Result of a feasibility check; true if `achievable`. `str` gives the reasons."""
+    """Result of a feasibility check; its truth value is `achievable`. `str` lists the issues."""
 
     @property
     def achievable(self) -> bool:
@@ -1850,7 +1856,7 @@ class FeasibilityReport:
 
     @property
     def issues(self) -> tuple[Issue, ...]:
-        """Unmet requirements, the required ones first."""
+        """Requirements that are not met, and notes; those with `Issue.required` come first."""
 
     @property
     def axes(self) -> tuple[_AxisName, ...]:
@@ -1862,7 +1868,7 @@ class FeasibilityReport:
 
     @property
     def worst_pose(self) -> list[tuple[int, int]]:
-        """Indices of the poses with the smallest `capacity`, per axis: pushed toward (-, +)."""
+        """Index of the pose with the smallest `capacity`: per axis, pushed toward (-, +)."""
 
     @property
     def friction_left(self) -> _Array:
@@ -1900,8 +1906,8 @@ class Controller:
 
     Do not share it between threads: a concurrent call raises `RuntimeError`. Arrays per axis have
     one entry per task axis, in the order of the task. A controller can be copied, and pickled for
-    the same version: both continue with the same next step, and keep payload, gravity and delay.
-    Only a copy keeps the diagnostics of the last step.
+    the same version. The copy has the same state, payload, gravity and delay; an unpickled
+    controller lacks the diagnostics of the last step.
 
     Args:
         model: The arm.
@@ -1937,14 +1943,14 @@ class Controller:
 
         Args:
             q: Measured joint positions (n,) [rad].
-            target: Pose `base_from_tool`: (4, 4), `Pose`, or any object with a 4x4 accessor; (3,)
-                for a task without rotations. The arm stretches toward a pose out of reach; `check`
-                reports it. A distance from the first joint above 2 times `Model.reach` plus 0.1 m
-                is an error.
+            target: Pose `base_from_tool`: (4, 4), `Pose`, or an object with a 4x4 accessor; for a
+                task without rotations also (3,). The arm stretches toward a pose out of reach,
+                which `check` reports. A distance from `Model.reach_origin` above 2 times
+                `Model.reach` plus 0.1 m is an error.
             dt: Time since the last step [s], at most 1; None: 1 / settings.rate.
             dq: Joint velocity (n,) [rad/s] instead of the filtered one.
             twist: Velocity of the target (6,) [m/s, rad/s], base axes.
-            gradient: Gradient (n,) of an additional null-space cost, which is descended.
+            gradient: Gradient (n,) of an additional cost, which the null-space motion reduces.
             out: Command to overwrite, including arrays that are still referenced.
 
         Raises:
@@ -1963,7 +1969,9 @@ class Controller:
         gradient: ArrayLike | None = None,
         out: Command | None = None,
     ) -> Command:
-        """Run one control step toward joint positions (n,): target and rest posture; see `step`.
+        """Run one control step toward joint positions (n,); other arguments as in `step`.
+
+        The tool pose of `q_target` is the target, and `q_target` is the rest posture.
 
         Raises:
             OutOfRangeError: As `step`, and for a target beyond a joint's limits by more than 0.2
@@ -1992,7 +2000,7 @@ class Controller:
         of threads.
 
         Args:
-            Q: Measured joint positions (N, n) [rad]; a plain float64 array is not copied.
+            Q: Measured joint positions (N, n) [rad]; a C-ordered float64 array is not copied.
             targets: Poses (N, 4, 4), positions (N, 3) for a task without rotations, or one target
                 of `step` for all arms.
             state: State from `batch_state(N)`; changed in place.
@@ -2026,7 +2034,7 @@ class Controller:
         """
 
     def reset(self, q: ArrayLike) -> None:
-        """Clear velocity, goal slew and gamma; the goals start from `q` (n,) [rad].
+        """Reset the state to an arm at rest at `q` (n,) [rad]: the goals start there.
 
         `q` becomes the rest posture unless the settings have one. A captured gravity offset stays.
         """
@@ -2045,10 +2053,12 @@ class Controller:
         """Set the gravity vector (3,) [m/s^2] in base axes, for a base that tilts."""
 
     def set_delay(self, delay: float) -> None:
-        """Set the measured delay [s]; may reduce the gain of stiff axes, see `gain_factor`."""
+        """Set the measured delay [s]; may reduce the gain, see `Diagnostics.gain_factor`."""
 
     def capture_gravity(self, q: ArrayLike, goal: ArrayLike) -> _Array:
-        """Capture the gravity offset of an arm that an integrating goal holds still.
+        """Measure the stiffness for the gravity offset on an arm that its goals hold still.
+
+        Requires `Tracking.integrate` above 0, so that the arm is at its target.
 
         Args:
             q: Joint positions (n,) [rad].
@@ -2062,11 +2072,11 @@ class Controller:
         """
 
     def report(self, q: ArrayLike | None = None) -> PoseReport:
-        """Report the forces per axis and side, the torque margins and the force of a host loss.
+        """Report the forces per axis and side, the torque margins and the forces after a host loss.
 
         Args:
-            q: Posture (n,) [rad], with the arm at rest on its target; None: pose and limits of the
-                last step.
+            q: Posture (n,) [rad], for an arm at rest at its target; None: pose and torque limits of
+                the last step.
 
         Raises:
             ConfigError: `q` is None before the first step.
@@ -2079,12 +2089,12 @@ class Controller:
 
         Args:
             path_or_pose: One posture (n,) or a path (N, n) [rad]; or a pose `base_from_tool` as in
-                `step`, whose matrix (4, 4) has the last row 0 0 0 1. For a task without rotations
+                `step`, as a matrix (4, 4) with the last row 0 0 0 1. For a task without rotations
                 also a position (3,) [m]; for an arm of three joints, (3,) is read as a posture.
             q0: Joint positions (n,) [rad] at which the search for a pose starts; None: mid-range.
 
         Returns:
-            Verdict, and the settings to change; true if the arm can realize all settings.
+            Report with the issues and the settings to change; true if the path is achievable.
 
         Raises:
             ShapeError, OutOfRangeError, ConfigError, TypeError: An input is invalid; the message
@@ -2126,7 +2136,7 @@ class Controller:
 
 @final
 class Diagnostics:
-    """Intermediate values of a controller's last step; made by `Controller.diagnostics`.
+    """Intermediate values of a controller's last step; created by `Controller.diagnostics`.
 
     A snapshot: later steps do not change it. k is the number of task axes.
     """
@@ -2137,23 +2147,23 @@ class Diagnostics:
 
     @property
     def adapted_deviation(self) -> _Array:
-        """Adapted deviation (1 - eta w) e (k,) [m, rad]."""
+        """Adapted deviation (1 - eta w) e (k,) [m, rad], with `softness` w and `deviation` e."""
 
     @property
     def task_velocity(self) -> _Array:
-        """Task velocity K_x e + twist within its per-axis limits (k,) [m/s, rad/s]."""
+        """Task velocity (k,) [m/s, rad/s]: K_x `adapted_deviation` + twist, within its limits."""
 
     @property
     def softness(self) -> _Array:
-        """Softness w (k,), 0 to 1, for the side from which each axis is pushed."""
+        """Softness w (k,): 1 for an axis that yields to its present push, 0 for a stiff one."""
 
     @property
     def compliance(self) -> _Array:
-        """Compliance c of (8) (k,), 0 to 1."""
+        """Compliance c (k,), eq. (8) of the paper: 1 at a small deviation, 0 at a large one."""
 
     @property
     def axis_strength(self) -> _Array:
-        """Strength (k,): tau^x of (9) [N m] under law paper, else the cap [N, N m]."""
+        """Strength (k,): the force cap [N, N m]; under law paper tau^x of eq. (9) [N m]."""
 
     @property
     def wrench(self) -> _Array:
@@ -2161,11 +2171,11 @@ class Diagnostics:
 
     @property
     def activation(self) -> _Array:
-        """Activation matrix A of (10) (n, k + 1), the null-space column last."""
+        """Activation matrix A (n, k + 1), eq. (10) of the paper, the null-space column last."""
 
     @property
     def responsibility(self) -> _Array:
-        """Responsibility R of (6), (7) (n, k + 1)."""
+        """Responsibility R (n, k + 1), eqs. (6), (7) of the paper, the null-space column last."""
 
     @property
     def task_jacobian(self) -> _Array:
@@ -2208,11 +2218,11 @@ class Diagnostics:
 
     @property
     def damping(self) -> float:
-        """Damping lambda of the inverse in this step."""
+        """Damping lambda of the inverse kinematics in this step."""
 
     @property
     def damping_constants(self) -> tuple[float, float, float]:
-        """Present constants (lambda_0, sigma_0, lambda_max) of the damping."""
+        """Constants (lambda_0, sigma_0, lambda_max) of the damping, see `Tracking.damping`."""
 
     @property
     def gain_factor(self) -> float:
@@ -2242,7 +2252,10 @@ class Diagnostics:
 
     @property
     def reference(self) -> _Array:
-        """Target within tool speed and deviation limits, `base_from_tool` (4, 4)."""
+        """Pose that the arm tracks, `base_from_tool` (4, 4): the target within its limits.
+
+        The limits are those on tool speed, acceleration and deviation.
+        """
 
     @property
     def locked(self) -> NDArray[np.bool_]:
@@ -2252,8 +2265,8 @@ class Diagnostics:
 class WrenchEstimate:
     """Estimated external wrench at the tool, and its uncertainty.
 
-    Forces [N] and torques [N m] of the surroundings on the tool, at the tool point: a push toward +
-    is positive. `str` gives one line.
+    Forces [N] and torques [N m] that the surroundings exert at the tool point: a push toward + is
+    positive. `str` returns one line.
     """
 
     @property
@@ -2274,7 +2287,7 @@ class WrenchEstimate:
 
     @property
     def torque_residual(self) -> _Array:
-        """Torque of the surroundings on each joint (n,) [N m], low-passed."""
+        """Torque that the surroundings exert on each joint (n,) [N m], low-passed."""
 
     @property
     def torque_uncertainty(self) -> _Array:
@@ -2311,11 +2324,12 @@ class WrenchEstimate:
 class ContactEstimator:
     """Estimates the external wrench at the tool from joint positions and commands.
 
-    The torque of the servos beyond gravity, friction and acceleration comes from the surroundings:
-    `J' F = r = g + M q'' + t_f tanh(v / v0) + d v - clip(k_p (goal - q) - k_v v, +-limit)`. With
-    `|error of r_i| <= u_i`, `F = G r`, `G = (J W J' + P)^-1 J W`, `W = diag(1/u^2)`,
-    `P = diag(1/max_wrench^2)`, and the bound is `|G| u + |G J' - I| max_wrench`: a direction that
-    no joint senses has the uncertainty `max_wrench`.
+    The surroundings exert the residual r of the torque balance, with gravity g, friction t_f,
+    damping d and the torque of the servos:
+    `J' F = r = g + M q'' + t_f tanh(v / v0) + d v - clip(k_p (goal - q) - k_v v, +-limit)`. With an
+    error bound u_i on each r_i, the estimate is `F = G r` with `G = (J W J' + P)^-1 J W`,
+    `W = diag(1/u^2)`, `P = diag(1/max_wrench^2)`, and its bound `|G| u + |G J' - I| max_wrench`: a
+    direction that no joint senses has the uncertainty `max_wrench`.
 
     Call `update` once per tick, before the controller's `step`. Errors are relative: 0.3 is 30 %.
 
@@ -2333,12 +2347,12 @@ class ContactEstimator:
         load_error: Error of a measured load or current.
         torque_constant: Torque per current (n,) [N m/A]; required if a current is given.
         max_wrench: Largest plausible force [N] and torque [N m].
-        touch, stop: Thresholds [N, N m] by axis key, e.g. `{"xyz": 8.0}`. The larger of threshold
-            and `guard` times the present uncertainty applies.
-        hysteresis: Share of its threshold by which a force must fall to end an event.
+        touch, stop: Thresholds [N, N m] of these events by axis key, e.g. `{"xyz": 8.0}`. A
+            threshold is raised to `guard` times the present uncertainty.
+        hysteresis: Share of the threshold by which a force must fall below it to end an event.
         min_time: Minimum time beyond a threshold before an event begins or ends [s].
-        guard: Factor on the uncertainty. At 1 an event is proven; 0.6 gave no false alarm in an
-            hour (docs/contact.md).
+        guard: Lower bound on thresholds as a share of the uncertainty. At 1 each event proves a
+            contact; 0.6 gave no false alarm in an hour (docs/contact.md).
         accept_thresholds: Accept thresholds below the uncertainty, without `guard`.
 
     Raises:
@@ -2380,8 +2394,8 @@ class ContactEstimator:
     ) -> WrenchEstimate:
         """Process one reading, before the controller's step of the same tick.
 
-        Until the command at the time of the reading is known, and without a load, the force is 0
-        and the uncertainty inf.
+        Without `load` or `current`, the force is 0 and the uncertainty inf until the command that
+        was in force at the time of the reading is known.
 
         Args:
             q: Measured joint positions (n,) [rad].
@@ -2390,7 +2404,7 @@ class ContactEstimator:
             dq: Joint velocity (n,) [rad/s] instead of the filtered one.
             load: Torques reported by the servos (n,) [N m], instead of lead and limit.
             current: Motor currents (n,) [A]; requires `torque_constant`.
-            sent: Goals and limits (n,) sent last, if not the controller's command.
+            sent: Goals (n,) [rad] and torque limits (n,) [N m] sent last; None: the controller's.
 
         Raises:
             ShapeError, OutOfRangeError, ConfigError: An input is invalid; nothing has changed.
@@ -2432,7 +2446,7 @@ class ContactEstimator:
         """Compute the median of `uncertainty_at` over 64 postures (6,) [N, N m]; takes 1 ms."""
 
     def reset(self) -> None:
-        """Clear velocity, filter, commands and events; a tare stays."""
+        """Clear velocity, filters, stored commands and events; keep the tare."""
 
     def tare(self) -> None:
         """Define the present force as zero; later estimates are relative to it.
@@ -2457,7 +2471,7 @@ class ContactEstimator:
 
     @property
     def guard(self) -> float:
-        """Factor on the uncertainty that a force must exceed; 0 with `accept_thresholds`."""
+        """Lower bound on thresholds as a share of the uncertainty; 0 with `accept_thresholds`."""
 
     @property
     def latency(self) -> float:
@@ -2472,7 +2486,9 @@ class ContactEstimator:
         """Controller that supplies model, payload, delay, task frame and commands."""
 
 def damped_pseudo_inverse(J: ArrayLike, damping: float) -> _Array:
-    """Compute the damped pseudo-inverse of (3): J^T (J J^T + lambda^2 I)^-1, shape (n, k).
+    """Compute the damped pseudo-inverse J^T (J J^T + lambda^2 I)^-1, shape (n, k).
+
+    Equation (3) of the paper.
 
     Args:
         J: Jacobian (k, n), at most six rows and sixteen columns.
@@ -2485,7 +2501,7 @@ def damped_pseudo_inverse(J: ArrayLike, damping: float) -> _Array:
 def null_space_projector(
     J: ArrayLike, damping: float = 0.0, kind: Literal["exact", "paper"] = "exact"
 ) -> _Array:
-    """Compute the null-space projector of J, (n, n).
+    """Compute the null-space projector (n, n) of J.
 
     Args:
         J: Jacobian (k, n).
@@ -2500,7 +2516,9 @@ def null_space_projector(
 def responsibility(
     J_pinv: ArrayLike, dx: ArrayLike, N: ArrayLike, gradient: ArrayLike, alpha: float
 ) -> _Array:
-    """Compute the responsibility R of (6), (7), (n, k + 1): |J+ diag(dx)|, then |alpha N gradient|.
+    """Compute the responsibility R (n, k + 1): |J+ diag(dx)|, then |alpha N gradient|.
+
+    Equations (6), (7) of the paper.
 
     Args:
         J_pinv: Pseudo-inverse (n, k).
@@ -2514,7 +2532,9 @@ def responsibility(
     """
 
 def activation(J_pinv: ArrayLike, N: ArrayLike, gradient: ArrayLike | None = None) -> _Array:
-    """Compute the activation matrix A of (10), (n, k + 1): normalized |J+|, then the null space.
+    """Compute the activation matrix A (n, k + 1): columns of |J+| over their sums, null space last.
+
+    Equation (10) of the paper.
 
     Args:
         J_pinv: Pseudo-inverse (n, k).
@@ -2536,8 +2556,6 @@ def check_path(
 ) -> FeasibilityReport:
     """Check that an arm can realize the settings along a path or in a pose.
 
-    If it cannot, the report names the settings to change.
-
     Equivalent to `Controller(model, settings, servos).check(path_or_pose, q0=q0)`.
 
     Args:
@@ -2551,8 +2569,8 @@ def check_path(
         q0: Joint positions (n,) [rad] at which the search for a pose starts; None: mid-range.
 
     Returns:
-        Verdict and issues; true if the arm can realize all settings. A pose out of reach is an
-            issue, not an error.
+        Report with the issues and the settings to change; true if the path is achievable. A pose
+            out of reach is an issue, not an error.
 
     Raises:
         ConfigError, OutOfRangeError, ShapeError: Settings, servos and model are inconsistent, or a
@@ -2562,7 +2580,9 @@ def check_path(
 
 @overload
 def compliance(deviation: float, soft_until: float, firm_from: float) -> float:
-    """Compute the compliance c of (8): 1 for |deviation| <= `soft_until`, 0 from `firm_from` on.
+    """Compute the compliance: 1 for |deviation| <= `soft_until`, 0 from `firm_from` on.
+
+    Linear between; equation (8) of the paper.
 
     Args:
         deviation: Deviation (k,) [m or rad], or a number.
@@ -2580,7 +2600,9 @@ def compliance(deviation: float, soft_until: float, firm_from: float) -> float:
 def compliance(deviation: ArrayLike, soft_until: ArrayLike, firm_from: ArrayLike) -> _Array: ...
 @overload
 def holding_torque(c: float, soft: float, firm: float, hold: float, compliant: bool) -> float:
-    """Compute the holding torque of (9): c soft + (1 - c) firm if compliant, else hold.
+    """Compute the holding torque: c soft + (1 - c) firm if compliant, else hold.
+
+    Equation (9) of the paper.
 
     Args:
         c: Compliance (k,), 0 to 1, or a number.
@@ -2605,7 +2627,7 @@ def holding_torque(
     compliant: bool | Sequence[bool] | NDArray[np.bool_],
 ) -> _Array: ...
 def joint_torque_limits(A: ArrayLike, strength: ArrayLike) -> _Array:
-    """Compute the joint torque limits of (11): A strength (n,) [N m].
+    """Compute the joint torque limits A strength (n,) [N m]; equation (11) of the paper.
 
     Args:
         A: Activation matrix (n, k + 1).
@@ -2621,10 +2643,10 @@ def adapt_target(
     eta: float,
     compliant: str | bool | Sequence[bool] | NDArray[np.bool_],
 ) -> _Array:
-    """Compute the intermediate target of (12) as a pose (4, 4).
+    """Compute the intermediate target as a pose (4, 4); equation (12) of the paper.
 
-    target + eta (actual - target) on the compliant axes, in base axes. For rotations, eta scales
-    the components of the rotation vector.
+    It is target + eta (actual - target) on the compliant axes, target on the others, in base axes.
+    For rotations, eta scales the components of the rotation vector.
 
     Args:
         actual: Actual pose of the tool.
@@ -2634,13 +2656,13 @@ def adapt_target(
     """
 
 def pose_error(actual: _PoseLike, target: _PoseLike) -> _Array:
-    """Compute target - actual (6,) in base axes [m, rad], with the rotation vector of R_d R^T."""
+    """Compute target - actual (6,) in base axes: translation [m], then rotation vector [rad]."""
 
 @final
 class ArmPoints:
-    """Origins of the joints between base and tip, and the tool: m points, base to tip.
+    """Motion of m points of an arm: the origins of the joints from base to tip, and the tool.
 
-    Joints off the chain are fixed at the model's values. The payload is a point mass.
+    Joints off the chain are locked at the model's values. The payload is a point mass.
 
     Args:
         model: The arm.
@@ -2655,7 +2677,7 @@ class ArmPoints:
         """Return the velocities (m, 3) [m/s] for joint velocities dq (n,) [rad/s], base axes."""
 
     def inertia(self, q: ArrayLike) -> _Array:
-        """Return the joint-space inertia matrix with the rotors (n, n) [kg m^2]."""
+        """Return the joint-space inertia matrix (n, n) [kg m^2], including the rotors."""
 
     def effective_mass(self, q: ArrayLike, dq: ArrayLike) -> _Array:
         """Return the mass (m,) [kg] of each point along its velocity; 0 for a point at rest.
@@ -2667,24 +2689,24 @@ class ArmPoints:
 class Lowering:
     """Controlled descent of an arm from its present pose until the torque limits are zero.
 
-    The goals start at their present values and move toward the joints, in proportion to the
-    measured distance between them, so the arm descends without an exact stiffness or payload:
+    Goals start at their present values and move toward the joints, in proportion to the measured
+    lead goal - q, so the arm descends without an exact stiffness or payload. Phases:
 
-    - `rest`: if there is a rest pose, move toward it first;
+    - `rest`: move toward the rest pose, if there is one;
     - `down`: descend until no joint carries a load;
-    - `ramp`: reduce the limits to zero, and wait while anything moves.
+    - `ramp`: reduce the torque limits to zero, and wait until the arm stands still.
 
-    If positions no longer arrive, a model of the arm replaces the measured one. See
+    If positions no longer arrive, positions computed with the model replace them. See
     `docs/lifecycle.md` for the equations.
 
     Args:
         model: The arm; its `gravity` gives the downward direction of each joint.
         servos: Its servo parameters, n entries.
-        q: Last good joint positions (n,) [rad].
-        goal: Last goals sent (n,) [rad]; None: holding goals by the servo table.
-        limit: Last limits sent (n,) [N m], clamped to the usable torque; None: the weight and a
-            margin.
-        rest: Rest pose (n,) [rad]; None: straight down.
+        q: Last valid joint positions (n,) [rad].
+        goal: Last goals sent (n,) [rad]; None: q plus gravity torque divided by k_p.
+        limit: Last torque limits sent (n,) [N m], clamped to the usable torque; None: 1.1 times
+            the gravity torque plus `torque_margin`.
+        rest: Rest pose (n,) [rad]; None: descend at once.
         speed: Largest speed of any point of the arm [m/s].
 
     Raises:
@@ -2729,8 +2751,8 @@ class Lowering:
 
         Returns:
             The command to write; None if the arm rests and torque can be switched off. Its speed
-            limits are finite only while blind, so that a joint does not jump to a goal after lost
-            packets.
+            limits are finite only while `blind`, so that a joint that missed packets does not jump
+            to a later goal.
 
         Raises:
             ShapeError: `q` or `ok` does not have n entries; nothing has changed.
@@ -2745,32 +2767,32 @@ if sys.platform != "win32":
         data: list[bytes] | None,
         timeout: float,
     ) -> list[tuple[bytes, int]] | bytes:
-        """Send a request of Protocol 1.0 and return the replies, without the interpreter lock.
+        """Send a request of Protocol 1.0 and return the replies; releases the interpreter lock.
 
-        Bytes that have arrived before are discarded.
+        Bytes received before the request are discarded.
 
         Args:
             descriptor: File descriptor of the serial port.
             instruction: Read (2), sync read (130) or sync write (131).
             ids: Ids of the servos, in the order in which they reply.
-            block: Address and size of the registers.
-            data: Bytes to write to each servo; None: the servos reply.
+            block: Address of the first register, and number of bytes.
+            data: Bytes to write to each servo, which then do not reply; None: read.
             timeout: Longest silence before the replies and within them [s].
 
         Returns:
-            Data and status byte of each servo; if one has not sent a valid packet with the size of
-            the block, the bytes received until that showed.
+            Pairs of data and status byte, one per servo. If a servo has not sent a valid packet of
+            the expected size, the bytes received until then instead.
 
         Raises:
             OSError: The port has vanished.
             ValueError: The request is longer than the protocol allows.
         """
 
-#: Ratio of holding torque to gravity torque of an arm held without a controller.
+#: Ratio of the torque limit to the gravity torque of an arm that is held without a controller.
 SUPPORT: Final[float]
 
 def torque_margin(servos: Servos, gravity: ArrayLike) -> _Array:
-    """Return the margin (n,) [N m] of holding torque limits over `gravity` (n,) [N m].
+    """Return the margin (n,) [N m] of torque limits that hold an arm with `gravity` (n,) [N m].
 
     The largest of 10 % of the usable torque, twice the friction and 30 % of the gravity torque.
     """
@@ -2779,8 +2801,8 @@ def torque_margin(servos: Servos, gravity: ArrayLike) -> _Array:
 class HandGuidingLaw:
     """Goals that follow an arm guided by hand, so that it feels weightless.
 
-    Needs the result of the swing: a first motion of joints up and down that measures gravity lead
-    and friction. `pliant.HandGuiding` runs both.
+    Requires the result of the swing: a slow motion of the joints up and down before, which measures
+    friction and the lead that carries gravity. `pliant.HandGuiding` runs both.
 
     Args:
         model: The arm.
@@ -2788,14 +2810,14 @@ class HandGuidingLaw:
         q: Positions at the end of the swing (n,) [rad].
         goal: Goals at the end of the swing (n,) [rad].
         swung: True for joints that moved in the swing (n,).
-        lead: Mean of the leads goal - q that move a joint up and down (n,) [rad].
-        friction: Half the difference of the leads up and down (n,) [rad].
-        damping: Viscous damping, derivative gain and back-EMF together (n,) [N m s/rad].
+        lead: Mean of the leads goal - q in the motions up and down (n,) [rad].
+        friction: Half the difference of these leads (n,) [rad].
+        damping: Sum of viscous damping, derivative gain and back-EMF (n,) [N m s/rad].
         stiffness_error: Factor by which k_p may be wrong in either direction, at least 1.
         delay: Time from the reading to the arrival of the goal [s], at most 0.5.
-        torque_share: Torque allowed on top of gravity, as a share of the usable torque.
-        payload_moments: Mass [kg] and mass times centre in the tool frame [kg m] (4,) of a payload
-            in addition to the model's.
+        torque_share: Torque limit beyond what gravity requires, as a share of the usable torque.
+        payload_moments: Mass [kg] and mass times centre of mass in the tool frame [kg m] (4,) of a
+            payload in addition to that of the model.
     """
 
     def __new__(
@@ -2816,7 +2838,7 @@ class HandGuidingLaw:
     ) -> HandGuidingLaw: ...
     @property
     def stiffness(self) -> _Array:
-        """Lower and upper bounds on k_p, narrowed at each rest so far (2, n) [N m/rad]."""
+        """Lower and upper bounds on k_p (2, n) [N m/rad], narrowed whenever the arm rests."""
 
     @property
     def play(self) -> _Array:
@@ -2836,12 +2858,13 @@ class HandGuidingLaw:
 
 @final
 class JointFollower:
-    """Follows joint targets of a leader arm or a policy, with the force of the tool bounded.
+    """Follows joint targets of a leader arm or a policy, with the force at the tool bounded.
 
     Unlike with `Controller.step_joints`, every joint follows its own target, also near a singular
-    pose; only the torque limits make the arm soft. The limits carry the weight and `max_force`. The
-    goal of a blocked joint stays near it, so a released arm returns at the speed limits. With the
-    reference r, gravity g, friction rho and damping d including back-EMF, per joint:
+    pose; only the torque limits make the arm soft. They carry the weight and `max_force`. The goal
+    of a blocked joint stays near it, so a released arm returns at the speed limits. Per joint, with
+    the reference r and its speed v, gravity g, friction rho, damping d including back-EMF and the
+    bounds F_a on the force along the base axes (f and limit are at most the usable torque):
     `f = max_a F_a max(|J_a|, 0.1 m |J_wa|) + rho`, `r = clip(r moved to q_target, q -+ f / k_p)`,
     `goal = r + (g + 0.8 d v + 0.8 rho tanh(v / v0)) / k_p`, `limit = |g| + f + 0.8 |d v|`.
 
@@ -2878,7 +2901,7 @@ class JointFollower:
     @max_force.setter
     def max_force(self, value: ArrayLike) -> None: ...
     def reset(self, q: ArrayLike) -> None:
-        """Start again from joint positions q (n,) [rad], at rest.
+        """Restart at rest at joint positions q (n,) [rad].
 
         Raises:
             ShapeError, OutOfRangeError: `q` does not have n finite entries.
@@ -3206,30 +3229,30 @@ class CommandLimiter:
     ) -> tuple[
         bool, _Array, float, list[float], _Array, _Array | None, _Array | None, _Array | None, bool
     ]:
-        """Pass a reading to the filter of positions, and the torques since the last to the heat.
+        """Filter the positions of a reading, and update the heat with the torques since the last.
 
         Args:
-            positions: Filter of the N joints; the next three are those of its `update`.
-            position: Positions (N,) [rad].
+            positions: Filter of the N joints, which gets `position`, `ok` and `time`.
+            position: Positions (N,) [rad]; any number where `ok` is False.
             ok: Mask (N,) of the positions that were read.
-            time: Sample times [s].
+            time: Sample times [s]: (N,), or one number for all.
             velocity: Measured velocities (N,) [rad/s], or None.
-            load: Measured torques (N,) [N m]; where they are not finite, and for None, the torque
-                is ``min(k_p |goal - position|, limit)``.
+            load: Measured torques (N,) [N m], or None. Where they are not finite, and for None, the
+                torque is estimated as ``min(k_p |goal - position|, limit)``.
             current: Measured currents (N,) [A], or None.
             goal: Goals in the servos (N,) [rad].
             limit: Torque limits in the servos (N,) [N m].
             dt: Time since the last update [s].
             now: Present time [s].
-            max_jumps: Number of implausible positions of a joint in a row that is a fault.
-            max_heat: Largest heat of a servo that is no fault.
+            max_jumps: Number of implausible positions in a row from which on a joint is faulty.
+            max_heat: Heat above which a servo is too hot.
 
         Returns:
-            True if the positions of all joints of the chain are new; of the chain: plausible
-            positions (n,) [rad] and the time of the oldest [s]; positions of the joints off the
-            chain [rad]; of the chain: ages of the positions (n,) [s], velocities, torques and
-            currents (n,), each None if the argument is. True if a joint has made too many
-            implausible jumps, or a servo is too hot.
+            Nine values: True if the positions of all joints of the chain are new; plausible
+            positions of the chain (n,) [rad]; sample time of the oldest of them [s]; positions of
+            the joints off the chain (N - n) [rad]; of the chain, ages of the positions (n,) [s],
+            velocities, torques and currents (n,), each None if the argument is; True if a joint is
+            faulty or a servo is too hot.
 
         Raises:
             ShapeError: An array has another shape.
@@ -3237,7 +3260,7 @@ class CommandLimiter:
 
 @final
 class ThermalModel:
-    """Thermal model of N servos, and the torque limits that follow from it.
+    """Thermal model of N servos, from which torque limits are computed.
 
     ``dh/dt = ((torque / max_torque)^2 / continuous^2 - h) / seconds``, where h is the share of the
     thermal budget in use; h = 1 in steady state at the continuous torque.
@@ -3277,7 +3300,7 @@ class ThermalModel:
         """Temperature at which a torque limit reaches zero [deg C]."""
 
     def is_too_hot(self, max_heat: float) -> bool:
-        """Return True if a heat is above `max_heat`, or a servo has `last_temperature` or more."""
+        """Return True if a servo has a heat above `max_heat`, or at least `last_temperature`."""
 
     def set_temperature(self, servo: int, temperature: float) -> None:
         """Store the measured temperature of a servo [deg C]; an index beyond N is ignored."""

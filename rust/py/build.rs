@@ -1,4 +1,4 @@
-//! Docstrings of the stub `python/pliant/_core.pyi` for the compiled module: what `help()` shows is written once.
+//! Copies the docstrings of the stub `python/pliant/_core.pyi` into the compiled module, so that they are written once.
 //!
 //! Writes `stub.rs` into `OUT_DIR`: the macro `stub!` returns the docstring of a class, a member or a function.
 
@@ -10,19 +10,19 @@ use std::path::Path;
 const STUB: &str = "../../python/pliant/_core.pyi";
 const QUOTES: &str = "\"\"\"";
 
-/// Docstrings by name: `Model`, `Model.gravity`, `compliance`. Overloads follow each other in one text; an attribute
-/// that has none takes what its class says of the argument.
+/// Docstrings by name, e.g. `Model`, `Model.gravity`, `compliance`. Those of overloads are joined. An attribute without
+/// docstring has the text of the class argument with its name.
 type Docs = BTreeMap<String, String>;
 
 fn main() -> Result<(), Box<dyn Error>> {
     println!("cargo::rerun-if-changed={STUB}");
     println!("cargo::rerun-if-changed=build.rs");
     let docs = read(&std::fs::read_to_string(STUB)?)?;
-    std::fs::write(Path::new(&std::env::var("OUT_DIR")?).join("stub.rs"), written(&docs)?)?;
+    std::fs::write(Path::new(&std::env::var("OUT_DIR")?).join("stub.rs"), macro_source(&docs)?)?;
     Ok(())
 }
 
-/// The docstrings of a stub, whose layout is that of `ruff format`: four spaces, a signature ends a line.
+/// Reads the docstrings of a stub formatted by `ruff format`: indented by four spaces, each signature ends a line.
 fn read(stub: &str) -> Result<Docs, String> {
     let (mut docs, mut class, mut name) = (Docs::new(), String::new(), String::new());
     let mut lines = stub.lines().skip_while(|line| !line.starts_with("from ")).enumerate();
@@ -62,12 +62,12 @@ fn read(stub: &str) -> Result<Docs, String> {
     Ok(docs)
 }
 
-/// What the docstring of a class says of the argument that becomes the attribute `name`.
+/// Returns the text about the argument `name` in the docstring of a class.
 fn argument(doc: &str, name: &str) -> String {
     let entry = format!("    {name}: ");
     let lines = doc.lines().skip_while(|line| *line != "Args:").skip_while(|line| !line.starts_with(&entry));
-    let own = lines.enumerate().take_while(|(i, line)| *i == 0 || line.starts_with("        "));
-    let text = own.map(|(_, line)| line.trim()).collect::<Vec<_>>().join("\n");
+    let entry_lines = lines.enumerate().take_while(|(i, line)| *i == 0 || line.starts_with("        "));
+    let text = entry_lines.map(|(_, line)| line.trim()).collect::<Vec<_>>().join("\n");
     text.strip_prefix(&format!("{name}: ")).unwrap_or_default().to_owned()
 }
 
@@ -75,8 +75,8 @@ fn word(text: &str) -> String {
     text.chars().take_while(|letter| letter.is_alphanumeric() || *letter == '_').collect()
 }
 
-/// The macro `stub!`.
-fn written(docs: &Docs) -> Result<String, std::fmt::Error> {
+/// Returns the source of the macro `stub!`.
+fn macro_source(docs: &Docs) -> Result<String, std::fmt::Error> {
     let mut out = String::from("macro_rules! stub {\n");
     for (name, doc) in docs {
         writeln!(out, "({name}) => {{ {doc:?} }};")?;

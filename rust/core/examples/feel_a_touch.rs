@@ -1,4 +1,4 @@
-//! The force at the tool without a sensor: from what was commanded and where the joints are.
+//! Estimate the force at the tool without a force sensor, from commands and joint positions.
 //!
 //! `cargo run --release -p pliant-core --example feel_a_touch`
 #![expect(clippy::print_stdout, reason = "an example says what it does")]
@@ -23,19 +23,17 @@ fn main() -> Result<()> {
     let mut touched = false;
     for tick in 0..300 {
         let time = 0.01 * f64::from(tick); // [s]
-        // A hand that leans on the tool from 1 s to 2 s.
+        // A hand pushes the tool from 1 s to 2 s.
         let hand = 20.0 * (5.0 * (time - 1.0).min(2.0 - time)).clamp(0.0, 1.0); // [N]
         // Update the estimate before the step, while the servos still follow the previous command.
-        let felt = *contact.update(&controller, &q, &ContactInput::default())?;
-        if felt.touch[Z] != touched {
-            touched = felt.touch[Z];
-            println!("{time:.2} s: {}", if touched { "touched" } else { "let go" });
+        let estimate = *contact.update(&controller, &q, &ContactInput::default())?;
+        if estimate.touch[Z] != touched {
+            touched = estimate.touch[Z];
+            println!("{time:.2} s: {}", if touched { "touched" } else { "released" });
         }
         if tick % 50 == 25 {
-            let (force, uncertainty) = (felt.force[Z], felt.uncertainty[Z]);
-            println!(
-                "{time:.2} s: a hand leans on the tool with {hand:.0} N, felt along z {force:.1} ± {uncertainty:.1} N"
-            );
+            let (force, uncertainty) = (estimate.force[Z], estimate.uncertainty[Z]);
+            println!("{time:.2} s: a hand pushes with {hand:.0} N, estimated along z: {force:.1} ± {uncertainty:.1} N");
         }
         let command = *controller.step(&q, &target, &StepInput::default())?;
         arm::advance(

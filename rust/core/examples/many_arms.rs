@@ -1,4 +1,4 @@
-//! A thousand arms in one call, each with a memory of its own.
+//! Step a thousand arms in one call, each with its own state.
 //!
 //! `cargo run --release -p pliant-core --example many_arms`
 #![expect(clippy::print_stdout, reason = "an example says what it does")]
@@ -18,7 +18,7 @@ fn main() -> Result<()> {
     let controller = Controller::new(model.clone(), Settings::default(), Some(arm::servos()))?;
     let n = model.n();
 
-    // Rows stand one behind the other. Each arm begins a little apart from all others.
+    // Row-major, one row per arm. Each arm starts at slightly different positions.
     let mut q: Vec<f64> = (0..ARMS * n).map(|i| arm::START[i % n] + 0.1 * (0.37 * i as f64).sin()).collect();
     let target = model.forward_kinematics(&arm::START)?;
     let mut state = BatchState::new(n, ARMS)?;

@@ -1,7 +1,7 @@
 //! Error type of the crate.
 //!
-//! Each variant carries what its message needs (quantity, value, and bound or alternatives), so that the message alone
-//! says how to fix the call. The Python binding maps each variant to one exception class.
+//! Each variant contains what its message needs, e.g. quantity, value and bound, so that the message says how to fix
+//! the call. The Python binding maps each variant to one exception class.
 
 use std::fmt;
 
@@ -57,7 +57,7 @@ pub enum Error {
     },
 }
 
-/// Formats a number for a message, in exponential notation outside 1e-4 to 1e6, so that 1e300 is not 301 digits long.
+/// Formats a number for a message, in exponential notation outside 1e-4 to 1e6, so that 1e300 does not fill a page.
 struct Short(f64);
 
 impl fmt::Display for Short {
@@ -100,7 +100,7 @@ impl Error {
         Self::Shape { what: what.into(), got: format!("({got},)"), expected: format!("({expected},)") }
     }
 
-    /// Creates an [`Error::Shape`] for an `N` × `size` array, row by row, whose length `got` is not a multiple of
+    /// Creates an [`Error::Shape`] for an `N` × `size` array, row-major, whose length `got` is not a multiple of
     /// `size`.
     #[cold]
     #[inline(never)]
@@ -116,7 +116,7 @@ impl Error {
         Self::Config { key: key.into(), message: message.into() }
     }
 
-    /// Prefixes the quantity or setting with `batch[row]`; leaves other variants unchanged.
+    /// Adds the prefix `batch[row]` to the quantity or setting; leaves other variants unchanged.
     #[cold]
     #[inline(never)]
     pub(crate) fn in_row(self, batch: &str, row: usize) -> Self {

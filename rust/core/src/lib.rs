@@ -1,6 +1,6 @@
 //! Compliant task-space control for arms with back-drivable position servos. This crate is independent of Python.
 //!
-//! Each module imports only from those above it in this list:
+//! Each module imports only from the modules above it in this list:
 //!
 //! * [`error`]: the one error type;
 //! * `math`: SIMD number types, linear algebra, rotations; independent of robots;
@@ -15,7 +15,7 @@
 //! * [`controller`]: the control step, which runs task, law and command once per cycle;
 //! * [`analysis`]: capabilities of an arm in a pose or on a path;
 //! * [`contact`]: commands and positions → estimated contact wrench;
-//! * [`arm`]: descent, hand guiding and thermal limits, beside the controller;
+//! * [`arm`]: operation of an arm without the controller: descent, hand guiding, joint following, command limits;
 //! * [`equations`]: the paper's equations for Jacobians from other libraries.
 //!
 //! ```
@@ -64,7 +64,7 @@ pub mod task;
 
 pub use batch::{BatchCommand, BatchInput, BatchState, OnInvalid, Targets};
 pub use contact::{ContactEstimator, ContactInput, ContactOptions, WrenchEstimate};
-// Re-exported because public functions return its matrices: users need the same version.
+// Public functions return matrices of nalgebra, so users need the same version of it.
 pub use nalgebra;
 
 pub use analysis::{AxisReport, FeasibilityReport, Issue, JointStop, PoseReport};

@@ -22,8 +22,8 @@ pub const ROTATION_TOLERANCE: f64 = 1e-4;
 /// Largest accepted difference of a quaternion's norm from 1.
 const QUATERNION_TOLERANCE: f64 = 1e-3;
 
-/// Threshold of the fast check: if the summed residuals are at most this, every entry of `RᵀR − I` is within
-/// [`ROTATION_TOLERANCE`], because no entry exceeds six times the sum.
+/// Threshold of the fast check on the sum of residuals. No entry of `RᵀR − I` exceeds six times that sum, so at this
+/// threshold every entry is within [`ROTATION_TOLERANCE`].
 pub(crate) const FAST_TOLERANCE: f64 = 0.1 * ROTATION_TOLERANCE;
 
 /// Ball that contains all plausible target positions.
@@ -38,7 +38,7 @@ pub(crate) struct TargetRegion {
 }
 
 impl TargetRegion {
-    /// Region of radius [`POSITION_BOUND`] around the base, for checks that know no arm and for tasks without
+    /// Region of radius [`POSITION_BOUND`] around the base, for checks without an arm and for tasks without
     /// translations.
     pub(crate) const ANY: Self = Self::ball([0.0; 3], POSITION_BOUND);
 
@@ -49,7 +49,7 @@ impl TargetRegion {
 
     /// Returns the distance of a position from the centre [m].
     pub(crate) fn distance(&self, position: &[f64; 3]) -> f64 {
-        // `hypot` does not overflow: the squares of 1e300 would.
+        // `hypot`, because the square of 1e300 would overflow.
         let apart = std::array::from_fn::<f64, 3, _>(|i| position[i] - self.centre[i]);
         apart[0].hypot(apart[1]).hypot(apart[2])
     }
@@ -84,7 +84,7 @@ impl Pose {
         Self::from_rows_of("pose", m)
     }
 
-    /// Creates a pose as [`Pose::from_rows`]; error messages call the argument `name`.
+    /// Creates a pose as [`Pose::from_rows`]; `name` is the name of the argument in error messages.
     ///
     /// # Errors
     /// As [`Pose::from_rows`].
@@ -127,7 +127,7 @@ impl Pose {
         self.check("pose")
     }
 
-    /// Checks the pose as [`Pose::validate`]; error messages call the argument `name`.
+    /// Checks the pose as [`Pose::validate`]; `name` is the name of the argument in error messages.
     #[inline]
     pub(crate) fn check(&self, name: &str) -> Result<()> {
         if self.validity_residual::<BaselineF64>(&TargetRegion::ANY) <= FAST_TOLERANCE {
@@ -137,9 +137,9 @@ impl Pose {
         }
     }
 
-    /// Returns a sum of residuals that is 0 for a valid pose: how far the first two rows of the rotation are from
-    /// orthonormal and the third from their cross product, and how far the position is outside `region`. A pose with a
-    /// sum of at most [`FAST_TOLERANCE`] is valid, so that one comparison replaces many.
+    /// Returns a sum of residuals: of the orthonormality of the first two rows of the rotation, of the third row
+    /// against their cross product, and the scaled distance of the position from the centre of `region`. A pose with a
+    /// sum of at most [`FAST_TOLERANCE`] is valid, so one comparison replaces many.
     #[inline(always)]
     fn validity_residual<A: RealOps<Real = f64>>(&self, region: &TargetRegion) -> f64 {
         let [x, y, z] = &self.rotation;
@@ -152,7 +152,8 @@ impl Pose {
         A::fma(region.tolerance_per_metre, far, lengths + angles)
     }
 
-    /// Returns true if [`Pose::check`] rejects the pose or if it is outside `region`; does the fast check first.
+    /// Returns true if [`Pose::check`] would reject the pose or its position is outside `region`; tries the fast check
+    /// first.
     #[inline(always)]
     pub(crate) fn is_invalid<A: RealOps<Real = f64>>(&self, region: &TargetRegion) -> bool {
         !(self.validity_residual::<A>(region) <= FAST_TOLERANCE) && self.is_invalid_slow(region)

@@ -1,6 +1,6 @@
-//! Tests of the public face, in one program: it is linked once, and shared code is compiled once.
+//! Tests of the public API, in one program, so that it is linked once and shared code is compiled once.
 //!
-//! Tests that need an allocator of their own are programs of their own: `no_alloc`, `fuzz_corpus`.
+//! Tests with their own global allocator are separate programs: `no_alloc`, `fuzz_corpus`.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,

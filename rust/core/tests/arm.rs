@@ -35,8 +35,8 @@ fn lowering(model: &Arc<Model>, servos: &Servos, start: &LoweringStart<'_>) -> L
     Lowering::new(Arc::clone(model), servos, points, start).unwrap()
 }
 
-/// Returns the positions at which servos of stiffness `kp` [N·m/rad] hold the arm with the goals `goal` [rad].
-fn held(model: &Model, goal: &[f64], kp: f64, q: &[f64]) -> Vec<f64> {
+/// Returns the joint positions at which servos of stiffness `kp` [N·m/rad] hold the arm with the goals `goal` [rad].
+fn equilibrium(model: &Model, goal: &[f64], kp: f64, q: &[f64]) -> Vec<f64> {
     let mut q = q.to_vec();
     for _ in 0..20 {
         let gravity = model.gravity(&q).unwrap();
@@ -48,7 +48,7 @@ fn held(model: &Model, goal: &[f64], kp: f64, q: &[f64]) -> Vec<f64> {
 }
 
 #[test]
-fn points_move_as_their_jacobians_say_and_the_tool_as_the_model_says() {
+fn points_and_tool_agree_with_jacobians_and_model() {
     let model = arm7();
     let points = ArmPoints::new(&model, &[0.01; 7]).unwrap();
     let here = points.evaluate(&padded(&Q));
@@ -77,7 +77,7 @@ fn points_move_as_their_jacobians_say_and_the_tool_as_the_model_says() {
 }
 
 #[test]
-fn effective_mass_is_what_an_impulse_meets() {
+fn effective_mass_agrees_with_an_impulse() {
     let points = ArmPoints::new(&arm7(), &[0.01; 7]).unwrap();
     let here = points.evaluate(&padded(&Q));
     let dq = padded(&[0.3, -0.8, 0.5, 0.2, -0.4, 0.9, 0.1]);
@@ -97,9 +97,10 @@ fn effective_mass_is_what_an_impulse_meets() {
     assert!(here.effective_mass(&here.velocity(&[0.0; MAX_JOINTS]), 0.0).iter().all(|mass| *mass == 0.0));
 }
 
-/// The servos are stiffer or softer than the servo table says; the descent relies on measured positions only.
+/// The servos are stiffer or softer than the servo table says, which must not matter: the descent uses measured
+/// positions.
 #[test]
-fn a_quasi_static_arm_comes_down_with_a_wrong_stiffness() {
+fn a_quasi_static_arm_is_lowered_despite_a_wrong_stiffness() {
     for factor in [0.6, 1.0, 2.0] {
         let (model, servos) = (Arc::new(arm7()), servos());
         let kp = factor * KP;
@@ -111,7 +112,7 @@ fn a_quasi_static_arm_comes_down_with_a_wrong_stiffness() {
         let began = lowest;
         let mut ticks = 0;
         while let Some(command) = down.step(&q, &[true; 7], DT, 0.0).unwrap() {
-            q = held(&model, command.goal(), kp, &q);
+            q = equilibrium(&model, command.goal(), kp, &q);
             assert!(height(&q) < lowest + 0.005, "the tool rises: factor {factor}, tick {ticks}");
             lowest = lowest.min(height(&q));
             assert!(command.torque_limit().iter().all(|limit| (0.0..=TORQUE).contains(limit)));
@@ -125,7 +126,7 @@ fn a_quasi_static_arm_comes_down_with_a_wrong_stiffness() {
 }
 
 #[test]
-fn without_positions_the_model_comes_down_and_joints_get_a_speed_limit() {
+fn without_positions_the_descent_follows_the_model_with_speed_limits() {
     let (model, servos) = (Arc::new(arm7()), servos());
     let mut down = lowering(&model, &servos, &start(&Q));
     let (mut ticks, mut goal) = (0, Vec::new());
@@ -141,7 +142,7 @@ fn without_positions_the_model_comes_down_and_joints_get_a_speed_limit() {
 }
 
 #[test]
-fn wrong_lengths_and_numbers_are_named() {
+fn errors_name_wrong_lengths_and_numbers() {
     let (model, servos) = (Arc::new(arm7()), servos());
     let points = Arc::new(ArmPoints::new(&model, &servos.armature).unwrap());
     let refused = |start: &LoweringStart<'_>| {
@@ -164,14 +165,14 @@ fn guiding(model: &Arc<Model>, stiffness_error: f64) -> HandGuiding {
     HandGuiding::new(Arc::clone(model), &servos(), &[0.5; 7], &swing, options).unwrap()
 }
 
-/// A drive may report its own limit as larger than the usable torque, or a lost register as negative.
+/// A drive may report a torque limit above the usable torque, or a lost register as a negative number.
 #[test]
 fn a_descent_starts_within_the_usable_torque() {
     let (model, servos) = (Arc::new(arm7()), servos());
     let sent = [1e6, -3.0, 20.0, TORQUE, 5.0, 0.0, 1e6];
     let mut down = lowering(&model, &servos, &LoweringStart { torque_limit: Some(&sent), ..start(&Q) });
     for _ in 0..3 {
-        // Without a new position the limits stay as they were sent.
+        // Without a new position, the limits do not change.
         let command = down.step(&Q, &[false; 7], DT, 0.0).unwrap().unwrap();
         assert!(command.torque_limit().iter().all(|limit| (0.0..=TORQUE).contains(limit)), "{command:?}");
         assert!((command.torque_limit()[4] - 5.0).abs() < 1e-12);
@@ -179,14 +180,14 @@ fn a_descent_starts_within_the_usable_torque() {
 }
 
 #[test]
-fn options_of_hand_guiding_are_named() {
+fn errors_name_invalid_options_of_hand_guiding() {
     let model = Arc::new(arm7());
     let swing = SwingResult { q: &Q, goal: &Q, swung: &[true; 7], lead: &[0.0; 7], friction: &[1e-3; 7] };
     let usual = HandGuidingOptions { stiffness_error: 2.0, delay: 0.0, torque_share: 0.3, payload_moments: [0.0; 4] };
     let refused = |options: HandGuidingOptions| {
         HandGuiding::new(Arc::clone(&model), &servos(), &[0.5; 7], &swing, options).unwrap_err().to_string()
     };
-    for (options, said) in [
+    for (options, expected) in [
         (HandGuidingOptions { stiffness_error: 0.9, ..usual }, "stiffness_error = 0.9"),
         (HandGuidingOptions { delay: f64::NAN, ..usual }, "delay [s] = NaN"),
         (HandGuidingOptions { delay: 20.0, ..usual }, "delay [s] = 20 is outside [0, 0.5]"),
@@ -194,13 +195,13 @@ fn options_of_hand_guiding_are_named() {
         (HandGuidingOptions { payload_moments: [-1.0, 0.0, 0.0, 0.0], ..usual }, "payload_moments[0] [kg] = -1"),
         (HandGuidingOptions { payload_moments: [1.0, 0.0, f64::INFINITY, 0.0], ..usual }, "payload_moments[2]"),
     ] {
-        assert!(refused(options).contains(said), "{}", refused(options));
+        assert!(refused(options).contains(expected), "{}", refused(options));
     }
 }
 
-/// A clock that was set while the arm was guided gives any period.
+/// If the system clock is set during hand guiding, the period can be any number.
 #[test]
-fn a_period_at_the_edge_of_the_number_range_moves_no_goal_far() {
+fn huge_periods_do_not_move_goals_far() {
     let mut guiding = guiding(&Arc::new(arm7()), 2.2);
     for dt in [0.01, f64::MAX, 1e300, 0.01] {
         let command = guiding.step(&Q.map(|q| q + 0.01), dt).unwrap();
@@ -216,7 +217,7 @@ fn a_swing_narrows_the_interval_of_the_stiffness() {
     let [low, high] = guiding.stiffness();
     for i in 0..7 {
         assert!(low[i] <= KP && KP <= high[i], "joint {i}: {} to {}", low[i], high[i]);
-        // The stiffness becomes known within a few per cent only for a joint that carries a load.
+        // Only the stiffness of a loaded joint can be measured.
         if gravity[i].abs() > 1.0 {
             assert!(high[i] / low[i] < 1.5, "joint {i}: {} to {}", low[i], high[i]);
         }
@@ -224,15 +225,15 @@ fn a_swing_narrows_the_interval_of_the_stiffness() {
 }
 
 #[test]
-fn a_resting_arm_stays_and_a_led_arm_stays_where_it_is_left() {
+fn a_guided_arm_stays_where_the_hand_releases_it() {
     let model = Arc::new(arm7());
     let mut guiding = guiding(&model, 1.1);
     let mut goal = vec![0.0; 7];
     for _ in 0..100 {
         goal = guiding.step(&Q, DT).unwrap().goal().to_vec();
     }
-    let held_at = held(&model, &goal, KP, &Q);
-    assert!(held_at.iter().zip(&Q).all(|(a, b)| (a - b).abs() < 5e-3), "{held_at:?}");
+    let start_q = equilibrium(&model, &goal, KP, &Q);
+    assert!(start_q.iter().zip(&Q).all(|(a, b)| (a - b).abs() < 5e-3), "{start_q:?}");
     let mut q = Q;
     for tick in 0..200 {
         q[1] = Q[1] + 0.3 * f64::from(tick) / 200.0;
@@ -241,8 +242,8 @@ fn a_resting_arm_stays_and_a_led_arm_stays_where_it_is_left() {
     for _ in 0..100 {
         goal = guiding.step(&q, DT).unwrap().goal().to_vec();
     }
-    let left_at = held(&model, &goal, KP, &q);
-    assert!(left_at.iter().zip(&q).all(|(a, b)| (a - b).abs() < 2e-2), "{left_at:?} {q:?}");
+    let final_q = equilibrium(&model, &goal, KP, &q);
+    assert!(final_q.iter().zip(&q).all(|(a, b)| (a - b).abs() < 2e-2), "{final_q:?} {q:?}");
 }
 
 const FORCE: f64 = 5.0; // [N]
@@ -252,8 +253,8 @@ fn follower(model: &Arc<Model>, max_force: [f64; 3]) -> JointFollower {
     JointFollower::new(Arc::clone(model), &servos(), options).unwrap()
 }
 
-/// Returns the torques that bounded servos with this stiffness exert at q beyond those that carry the arm.
-fn exerted(model: &Model, command: &Command, q: &[f64]) -> Vec<f64> {
+/// Returns the torques that servos with limited torque exert at q, minus those that hold the arm.
+fn torques_above_weight(model: &Model, command: &Command, q: &[f64]) -> Vec<f64> {
     let gravity = model.gravity(q).unwrap();
     (0..q.len())
         .map(|i| {
@@ -264,17 +265,17 @@ fn exerted(model: &Model, command: &Command, q: &[f64]) -> Vec<f64> {
 }
 
 #[test]
-fn a_follower_at_its_target_carries_the_arm_and_nothing_else() {
+fn a_follower_at_its_target_exerts_only_the_weight() {
     let model = Arc::new(arm7());
     let mut follower = follower(&model, [FORCE; 3]);
     for _ in 0..10 {
         let command = follower.step(&Q, &Q, DT).unwrap();
-        assert!(exerted(&model, &command, &Q).iter().all(|torque| torque.abs() < 1e-12));
+        assert!(torques_above_weight(&model, &command, &Q).iter().all(|torque| torque.abs() < 1e-12));
     }
 }
 
 #[test]
-fn a_blocked_follower_pushes_with_its_force_and_does_not_wind_up() {
+fn a_blocked_follower_exerts_its_force_without_windup() {
     let model = Arc::new(arm7());
     let jacobian = model.jacobian(&Q, Reference::WorldAligned).unwrap();
     let friction = servos().for_joints(7).unwrap().friction;
@@ -287,17 +288,20 @@ fn a_blocked_follower_pushes_with_its_force_and_does_not_wind_up() {
         for _ in 0..500 {
             command = follower.step(&Q, &target, DT).unwrap();
         }
-        for (i, torque) in exerted(&model, &command, &Q).iter().enumerate() {
+        for (i, torque) in torques_above_weight(&model, &command, &Q).iter().enumerate() {
             let lever = jacobian[(axis, i)].abs().max(0.1 * jacobian[(axis + 3, i)].abs());
-            let most = FORCE * lever + friction[i];
-            assert!((torque.abs() - most).abs() < 1e-9, "axis {axis}, joint {i}: {torque} and {most}");
+            let expected_torque = FORCE * lever + friction[i];
+            assert!(
+                (torque.abs() - expected_torque).abs() < 1e-9,
+                "axis {axis}, joint {i}: {torque} and {expected_torque}"
+            );
             assert!((command.goal()[i] - Q[i]).abs() < 0.2, "joint {i} wound up to {}", command.goal()[i]);
         }
-        // The force vanishes within the time in which the reference returns.
+        // The force vanishes once the reference has returned.
         for _ in 0..20 {
             command = follower.step(&Q, &Q, DT).unwrap();
         }
-        assert!(exerted(&model, &command, &Q).iter().all(|torque| torque.abs() < 0.1), "{command:?}");
+        assert!(torques_above_weight(&model, &command, &Q).iter().all(|torque| torque.abs() < 0.1), "{command:?}");
     }
 }
 
@@ -309,20 +313,20 @@ fn a_follower_keeps_its_speed_limits_and_the_position_limits() {
     let (mut q, mut fastest) = (Q.to_vec(), 0.0_f64);
     for _ in 0..2000 {
         let command = follower.step(&q, &far, DT).unwrap();
-        let next = held(&model, command.goal(), KP, &q);
+        let next = equilibrium(&model, command.goal(), KP, &q);
         let before = model.forward_kinematics(&q).unwrap().position;
         let after = model.forward_kinematics(&next).unwrap().position;
         let path: f64 = before.iter().zip(&after).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
         fastest = fastest.max(path / DT);
         q = next;
     }
-    // The feed-forward of damping adds to the goals while they accelerate.
+    // The feed-forward of damping makes the tool slightly faster than its limit of 0.6 m/s.
     assert!(fastest > 0.3 && fastest < 0.8, "{fastest} m/s");
     assert!(q.iter().zip(model.upper()).all(|(q, upper)| *q < upper + 1e-2), "{q:?}");
 }
 
 #[test]
-fn a_follower_refuses_what_it_cannot_follow() {
+fn a_follower_rejects_invalid_inputs() {
     let model = Arc::new(arm7());
     let mut follower = follower(&model, [FORCE; 3]);
     follower.reset(&Q).unwrap();
@@ -368,9 +372,9 @@ fn heat_follows_the_torque_and_bounds_the_limits() {
     assert!(ThermalModel::new(hostile, &[10.0], None).unwrap_err().to_string().contains("continuous"));
 }
 
-/// A lost reading counts as the usable torque: it heats, and it never makes a limit NaN.
+/// A lost reading (NaN) counts as the usable torque, and never makes a torque limit NaN.
 #[test]
-fn torques_that_are_no_numbers_heat() {
+fn nan_torques_heat() {
     let options = ThermalOptions { continuous: 0.4, time_constant: 30.0, supply: None, shutdown_temperature: 70.0 };
     for (torque, dt, heats) in [
         (f64::NAN, 60.0, true),
@@ -395,7 +399,7 @@ fn torques_that_are_no_numbers_heat() {
 }
 
 #[test]
-fn a_jump_of_a_position_is_rejected_until_the_joint_can_have_moved_there() {
+fn a_jump_is_rejected_until_the_joint_can_have_moved_there() {
     let mut filter = PositionFilter::new(&[1.0, 1.0]).unwrap();
     let mut read = |position: [f64; 2], ok: [bool; 2], time: f64| {
         let accepted = filter.update(&position, &ok, &[time; 2]).to_vec();
@@ -404,14 +408,14 @@ fn a_jump_of_a_position_is_rejected_until_the_joint_can_have_moved_there() {
     assert_eq!(read([0.0, 3.0], [true, true], 0.00).0, [true, true]);
     // 2 × 1 rad/s × 10 ms + 0.2 rad = 0.22 rad.
     assert_eq!(read([0.219, 3.221], [true, true], 0.01).0, [true, false]);
-    // Time does not extend the reach while implausible positions arrive.
+    // The accepted distance does not grow while implausible positions arrive.
     for tick in 2..9 {
         let (accepted, filter) = read([0.219, 3.23], [true, true], 0.01 * f64::from(tick));
         assert_eq!(accepted, [true, false]);
         assert_eq!(filter.rejected()[1], u32::try_from(tick).unwrap());
         assert!((filter.position()[1] - 3.0).abs() < 1e-12 && filter.time()[1].abs() < 1e-12);
     }
-    // A joint that is not read keeps its position; after a gap of more than 0.1 s the reach has grown.
+    // A joint that is not read keeps its position. After a gap of more than 0.1 s, the accepted distance has grown.
     assert_eq!(read([0.3, 3.23], [false, false], 0.1).0, [false, false]);
     let (accepted, mut filter) = read([0.3, 3.23], [true, true], 0.25);
     assert_eq!(accepted, [true, true]);
@@ -427,13 +431,13 @@ fn an_assumed_position_lasts_until_the_first_reading() {
     assert_eq!(filter.update(&[0.1, f64::NAN], &[true, false], &[0.0; 2]), [true, false]);
     filter.assume(&[5.0, 2.0], 0.01);
     assert_eq!(filter.position(), [0.1, 2.0]);
-    // Far from the assumed position, and a speed limit of 0.
+    // Joint 1 is read far from its assumed position; its largest speed is 0.
     assert_eq!(filter.update(&[0.1, -1.0], &[true, true], &[0.02; 2]), [true, true]);
     assert_eq!(filter.position(), [0.1, -1.0]);
     assert_eq!(filter.update(&[0.1, 2.0], &[true, true], &[0.03; 2]), [true, false]);
 }
 
-/// Returns a limiter of the seven joints in reverse order after a gripper, and a thermal model of all eight.
+/// Returns a limiter for a drive with a gripper and then the seven joints in reverse order, and its thermal model.
 fn limiter(model: &Model) -> (CommandLimiter, ThermalModel) {
     let (kp, torque) = ([KP; 8], [TORQUE; 8]);
     let options =
@@ -443,7 +447,7 @@ fn limiter(model: &Model) -> (CommandLimiter, ThermalModel) {
 }
 
 #[test]
-fn commands_are_limited_to_ranges_ramp_and_budgets() {
+fn commands_are_limited_to_position_ranges_ramp_and_budgets() {
     let model = arm7();
     let (mut limiter, mut thermal) = limiter(&model);
     let gravity = model.gravity(&Q).unwrap().as_slice().to_vec();
@@ -468,12 +472,12 @@ fn commands_are_limited_to_ranges_ramp_and_budgets() {
         let holding = SUPPORT * gravity[i].abs() + margin[i];
         assert!(limits[7 - i] <= holding.min(TORQUE) + 1e-12 && limits[7 - i] >= SUPPORT * gravity[i].abs() - 1e-12);
     }
-    // With a lead at full torque, after the ramp; the supply shares 4 A among seven servos of 2 A.
+    // Goals may lead by the full torque, the ramp is over, and the supply delivers 4 A to seven servos of 2 A.
     let (goals, limits) = limiter.limit(&thermal, &LimiterInput { may_lead: true, ramp: 2.0, ..input }).unwrap();
     assert!((goals[7] - (model.upper()[0] + TORQUE / KP)).abs() < 1e-12);
     let amperes: f64 = limits[1..].iter().map(|limit| 2.0 / TORQUE * limit).sum();
     assert!((3.9..4.0).contains(&amperes), "{amperes}");
-    // Hot servos give no more than their continuous torque, but hold the weight.
+    // Hot servos are limited to their continuous torque, but still hold the weight.
     for _ in 0..8 {
         limiter.update_heat(&mut thermal, [&[9.0; 8], &[TORQUE; 8]], &[0.0; 8], None, 1e6).unwrap();
     }
@@ -482,14 +486,14 @@ fn commands_are_limited_to_ranges_ramp_and_budgets() {
     for i in 0..7 {
         assert!(limits[7 - i] <= (0.4 * TORQUE).max(SUPPORT * gravity[i].abs()) + 1e-12);
     }
-    // A measured load replaces the estimate, NaN does not.
+    // A measured load replaces the estimated torque; NaN does not.
     let load: Vec<f64> = (0..8).map(|i| if i == 3 { -0.4 * TORQUE } else { f64::NAN }).collect();
     limiter.update_heat(&mut thermal, [&[9.0; 8], &[TORQUE; 8]], &[0.0; 8], Some(&load), 1e6).unwrap();
     assert!((thermal.heat()[3] - 1.0).abs() < 1e-6 && (thermal.heat()[2] - 6.25).abs() < 1e-6);
 }
 
 #[test]
-fn the_limiter_names_what_it_rejects() {
+fn errors_of_the_limiter_name_the_argument() {
     let model = arm7();
     let (mut limiter, thermal) = limiter(&model);
     let mut goal = Q;
@@ -518,11 +522,11 @@ fn the_limiter_names_what_it_rejects() {
     assert_eq!(limiter.speeds(&[1.0; 7]).unwrap(), [f64::INFINITY, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0]);
     assert!(limiter.speeds(&[-1.0; 7]).unwrap_err().to_string().contains("velocity"));
     assert!(limiter.speeds(&[1.0; 8]).unwrap_err().to_string().contains("velocity has shape (8,)"));
-    let made = |chain: &[usize], kp: &[f64]| CommandLimiter::new(&model, &servos(), chain, kp, &[1.0; 7]);
-    assert!(made(&[0, 1, 2, 3, 4, 5, 5], &[1.0; 7]).unwrap_err().to_string().contains("chain"));
-    assert!(made(&[0, 1, 2, 3, 4, 5, 7], &[1.0; 7]).unwrap_err().to_string().contains("below 7"));
-    assert!(made(&[0, 1, 2, 3, 4, 5, 6], &[0.0; 7]).unwrap_err().to_string().contains("kp"));
-    assert!(made(&[0, 1, 2, 3, 4, 5, 6], &[1.0; 8]).unwrap_err().to_string().contains("max_torque"));
+    let create = |chain: &[usize], kp: &[f64]| CommandLimiter::new(&model, &servos(), chain, kp, &[1.0; 7]);
+    assert!(create(&[0, 1, 2, 3, 4, 5, 5], &[1.0; 7]).unwrap_err().to_string().contains("chain"));
+    assert!(create(&[0, 1, 2, 3, 4, 5, 7], &[1.0; 7]).unwrap_err().to_string().contains("below 7"));
+    assert!(create(&[0, 1, 2, 3, 4, 5, 6], &[0.0; 7]).unwrap_err().to_string().contains("kp"));
+    assert!(create(&[0, 1, 2, 3, 4, 5, 6], &[1.0; 8]).unwrap_err().to_string().contains("max_torque"));
 }
 
 fn any_number() -> impl Strategy<Value = f64> {
@@ -532,7 +536,7 @@ fn any_number() -> impl Strategy<Value = f64> {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
-    /// Invalid positions, times, ramps and torques give finite goals and limits within the servos' torque, and no panic.
+    /// Invalid positions, times, ramps and torques give finite goals, and limits within the servos' torque.
     #[test]
     fn hostile_readings_give_limited_commands(
         ticks in proptest::collection::vec(
@@ -583,7 +587,7 @@ proptest! {
         }
     }
 
-    /// Invalid readings and times give finite goals and limits within the servos' torque, and no panic.
+    /// Invalid readings and times give finite goals, and limits within the servos' torque.
     #[test]
     fn hostile_ticks_give_finite_commands(
         ticks in proptest::collection::vec(

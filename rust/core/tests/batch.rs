@@ -1,4 +1,4 @@
-//! A batch step gives the commands of single steps bit for bit, for random settings of all laws.
+//! Commands of a batch step are bit-identical to those of single steps, for random settings of all laws.
 
 use std::sync::Arc;
 
@@ -21,7 +21,7 @@ fn controllers(random: &mut Random, each: usize) -> Vec<Controller> {
                 let model = seeded::arm(index, &ModelOptions::default());
                 let servos = cases::servos(random, &seeded::servos(index), model.n());
                 let settings = cases::settings(random, &model, law);
-                let settings = cases::tamed(&model, settings, Some(&servos));
+                let settings = cases::accepted_settings(&model, settings, Some(&servos));
                 all.push(Controller::new(model, settings, Some(servos)).unwrap());
             }
         }
@@ -30,12 +30,12 @@ fn controllers(random: &mut Random, each: usize) -> Vec<Controller> {
 }
 
 #[test]
-fn with_a_state_every_row_is_a_controller_of_its_own() {
+fn with_a_state_each_row_equals_a_separate_controller() {
     let mut random = Random::new(5);
     let mut locked = 0;
     for controller in controllers(&mut random, 4) {
         let (model, n) = (Arc::clone(controller.model()), controller.model().n());
-        let mut alone = vec![controller.clone(); ARMS];
+        let mut singles = vec![controller.clone(); ARMS];
         let mut state = BatchState::new(n, ARMS).unwrap();
         for tick in 0..6 {
             let arms = Arms::new(&mut random, &model, ARMS);
@@ -43,32 +43,32 @@ fn with_a_state_every_row_is_a_controller_of_its_own() {
             let input = arms.input(dt, tick % 3 == 1);
             let mut out = Out::new(ARMS, n);
             controller.step_batch(&input, Some(&mut state), out.command()).unwrap();
-            for (row, own) in alone.iter_mut().enumerate() {
+            for (row, single_controller) in singles.iter_mut().enumerate() {
                 let (q, dq) = (&arms.q[row * n..][..n], &arms.dq[row * n..][..n]);
                 let input = StepInput { dt, dq: (tick % 3 == 1).then_some(dq), ..StepInput::default() };
-                let want = single(own, q, &arms.poses[row], &input);
+                let want = single(single_controller, q, &arms.poses[row], &input);
                 assert_eq!(out.row(row, n), want, "arm {row}, tick {tick}, {:?}", controller.settings());
-                locked += usize::from(own.diagnostics().locked.contains(&true));
+                locked += usize::from(single_controller.diagnostics().locked.contains(&true));
             }
             for row in (tick..ARMS).step_by(7) {
                 let q = random.joints(&model, 0.8);
-                alone[row].reset(&q).unwrap();
+                singles[row].reset(&q).unwrap();
                 state.reset(row, Some(&q)).unwrap();
             }
             for row in (tick..ARMS).step_by(11) {
-                alone[row] = controller.clone();
+                singles[row] = controller.clone();
                 state.reset(row, None).unwrap();
             }
-            let kept = BatchState::from_vec(n, state.as_slice().to_vec()).unwrap();
-            assert_eq!(bits(kept.as_slice()), bits(state.as_slice()));
-            state = kept;
+            let restored = BatchState::from_vec(n, state.as_slice().to_vec()).unwrap();
+            assert_eq!(bits(restored.as_slice()), bits(state.as_slice()));
+            state = restored;
         }
     }
     assert!(locked > 1000, "{locked} rows had a locked joint");
 }
 
-/// Returns controllers of law `paper` as printed, with random settings otherwise.
-fn printed(random: &mut Random, each: usize) -> Vec<Controller> {
+/// Returns controllers of law `paper` with the options of the paper; the other settings are random.
+fn controllers_of_paper(random: &mut Random, each: usize) -> Vec<Controller> {
     let settings = |random: &mut Random, model: &Model| {
         let settings = cases::settings(random, model, Law::Paper);
         let damping = Damping::Fixed(random.pick(&[0.02, 0.05, 0.3]));
@@ -88,7 +88,7 @@ fn printed(random: &mut Random, each: usize) -> Vec<Controller> {
         for _ in 0..each {
             let model = seeded::arm(index, &ModelOptions::default());
             let servos = cases::servos(random, &seeded::servos(index), model.n());
-            let settings = cases::tamed(&model, settings(random, &model), Some(&servos));
+            let settings = cases::accepted_settings(&model, settings(random, &model), Some(&servos));
             all.push(Controller::new(model, settings, Some(servos)).unwrap());
         }
     }
@@ -96,11 +96,11 @@ fn printed(random: &mut Random, each: usize) -> Vec<Controller> {
 }
 
 #[test]
-fn without_a_state_every_row_is_a_first_step_without_slew() {
+fn without_a_state_each_row_is_a_first_step_without_speed_limit() {
     let mut random = Random::new(6);
     let (mut locked, mut rows) = (0, 0);
     let mut all = controllers(&mut random, 3);
-    all.extend(printed(&mut random, 6));
+    all.extend(controllers_of_paper(&mut random, 6));
     for controller in all {
         let (model, n) = (Arc::clone(controller.model()), controller.model().n());
         let mut arms = Arms::new(&mut random, &model, ARMS);
@@ -125,11 +125,11 @@ fn without_a_state_every_row_is_a_first_step_without_slew() {
                 }
                 let (q, dq) = (&arms.q[row * n..][..n], &arms.dq[row * n..][..n]);
                 let input = StepInput { dq: with_dq.then_some(dq), ..StepInput::default() };
-                let mut alone = fresh.clone();
-                alone.set_simd_level(simd_level);
-                let want = single(&mut alone, q, &arms.poses[row], &input);
+                let mut singles = fresh.clone();
+                singles.set_simd_level(simd_level);
+                let want = single(&mut singles, q, &arms.poses[row], &input);
                 assert_eq!(out.row(row, n), want, "arm {row}, {simd_level}, {:?}", controller.settings());
-                (locked, rows) = (locked + usize::from(alone.diagnostics().locked.contains(&true)), rows + 1);
+                (locked, rows) = (locked + usize::from(singles.diagnostics().locked.contains(&true)), rows + 1);
             }
         }
     }
@@ -137,30 +137,30 @@ fn without_a_state_every_row_is_a_first_step_without_slew() {
 }
 
 /// Returns a controller with default settings, and `count` arms for it.
-fn usual(random: &mut Random, count: usize) -> (Controller, Arms) {
+fn default_controller(random: &mut Random, count: usize) -> (Controller, Arms) {
     let model = seeded::arm(0, &ModelOptions::default());
     let arms = Arms::new(random, &model, count);
     (Controller::new(model, Settings::default(), Some(seeded::servos(0))).unwrap(), arms)
 }
 
 #[test]
-fn other_settings_take_over_as_with_a_single_step() {
+fn new_settings_act_as_in_a_single_controller() {
     let mut random = Random::new(7);
-    let (mut controller, arms) = usual(&mut random, ARMS);
-    let (mut alone, mut state) = (vec![controller.clone(); ARMS], BatchState::new(7, ARMS).unwrap());
+    let (mut controller, arms) = default_controller(&mut random, ARMS);
+    let (mut singles, mut state) = (vec![controller.clone(); ARMS], BatchState::new(7, ARMS).unwrap());
     let mut out = Out::new(ARMS, 7);
     for axes in ["all", "xyz", "y rpy"] {
         let task = pliant_core::params::Task::parse(axes).unwrap();
         let settings =
             Settings { task, tracking: Tracking { integrate: 0.5, ..Tracking::default() }, ..Settings::default() };
         controller.update(settings.clone()).unwrap();
-        for own in &mut alone {
-            own.update(settings.clone()).unwrap();
+        for single_controller in &mut singles {
+            single_controller.update(settings.clone()).unwrap();
         }
         for _ in 0..3 {
             controller.step_batch(&arms.input(None, false), Some(&mut state), out.command()).unwrap();
-            for (row, own) in alone.iter_mut().enumerate() {
-                let want = single(own, &arms.q[row * 7..][..7], &arms.poses[row], &StepInput::default());
+            for (row, single_controller) in singles.iter_mut().enumerate() {
+                let want = single(single_controller, &arms.q[row * 7..][..7], &arms.poses[row], &StepInput::default());
                 assert_eq!(out.row(row, 7), want, "arm {row}, {axes}");
             }
         }
@@ -168,10 +168,10 @@ fn other_settings_take_over_as_with_a_single_step() {
 }
 
 #[test]
-fn one_row_that_cannot_be_used_stops_all_and_changes_nothing() {
+fn one_invalid_row_stops_the_batch_before_any_change() {
     let mut random = Random::new(8);
     for count in [1, 5, ARMS] {
-        let (controller, mut arms) = usual(&mut random, count);
+        let (controller, mut arms) = default_controller(&mut random, count);
         let (mut state, mut out) = (BatchState::new(7, count).unwrap(), Out::new(count, 7));
         controller.step_batch(&arms.input(None, false), Some(&mut state), out.command()).unwrap();
         let before = bits(state.as_slice());
@@ -205,9 +205,9 @@ fn one_row_that_cannot_be_used_stops_all_and_changes_nothing() {
 }
 
 #[test]
-fn where_asked_for_bad_rows_are_nan_and_the_others_are_stepped() {
+fn with_on_invalid_nan_valid_rows_are_stepped() {
     let mut random = Random::new(9);
-    let (controller, mut arms) = usual(&mut random, ARMS);
+    let (controller, mut arms) = default_controller(&mut random, ARMS);
     let (mut state, mut good, mut out) = (BatchState::new(7, ARMS).unwrap(), Out::new(ARMS, 7), Out::new(ARMS, 7));
     controller.step_batch(&arms.input(None, false), Some(&mut state.clone()), good.command()).unwrap();
     let width = state.as_slice().len() / ARMS;
@@ -218,21 +218,21 @@ fn where_asked_for_bad_rows_are_nan_and_the_others_are_stepped() {
     let input = BatchInput { invalid: OnInvalid::Nan, ..arms.input(None, false) };
     controller.step_batch(&input, Some(&mut state), out.command()).unwrap();
     for row in 0..ARMS {
-        let kept = &state.as_slice()[row * width..][..width];
+        let restored = &state.as_slice()[row * width..][..width];
         if [0, 20, 63, 64, 149].contains(&row) {
             assert!(out.0.iter().all(|all| all[row * 7..][..7].iter().all(|value| value.is_nan())));
-            assert!(kept.iter().all(|value| value.to_bits() == 0), "arm {row} has not been stepped");
+            assert!(restored.iter().all(|value| value.to_bits() == 0), "arm {row} has not been stepped");
         } else {
             assert_eq!(out.row(row, 7), good.row(row, 7));
-            assert!(kept[0] > 0.0);
+            assert!(restored[0] > 0.0);
         }
     }
 }
 
 #[test]
-fn one_target_for_all_and_positions_alone() {
+fn targets_can_be_one_pose_or_positions() {
     let mut random = Random::new(10);
-    let (controller, arms) = usual(&mut random, ARMS);
+    let (controller, arms) = default_controller(&mut random, ARMS);
     let settings = Settings { task: pliant_core::params::Task::parse("xyz").unwrap(), ..Settings::default() };
     let lateral = Controller::new(Arc::clone(controller.model()), settings, Some(seeded::servos(0))).unwrap();
     let positions: Vec<f64> = arms.poses.iter().flat_map(|pose| pose.position).collect();
@@ -257,9 +257,9 @@ fn one_target_for_all_and_positions_alone() {
 }
 
 #[test]
-fn lengths_that_do_not_fit_are_named() {
+fn errors_name_inconsistent_lengths() {
     let mut random = Random::new(11);
-    let (controller, arms) = usual(&mut random, 4);
+    let (controller, arms) = default_controller(&mut random, 4);
     let input = arms.input(None, false);
     let refused = |input: &BatchInput<'_>, sizes: [usize; 3], arms: usize, what: &str| {
         let mut out = Out(sizes.map(|size| vec![0.0; size]));
@@ -283,7 +283,7 @@ fn lengths_that_do_not_fit_are_named() {
 }
 
 #[test]
-fn states_refuse_what_they_cannot_be() {
+fn invalid_states_are_rejected() {
     assert!(BatchState::new(0, 3).is_err() && BatchState::new(17, 3).is_err());
     let error = BatchState::new(7, usize::MAX).unwrap_err();
     assert!(error.to_string().contains("bytes an arm"), "{error}");
@@ -297,9 +297,9 @@ fn states_refuse_what_they_cannot_be() {
 }
 
 #[test]
-fn numbers_that_no_step_has_written_harm_nobody() {
+fn arbitrary_state_numbers_give_finite_or_nan_commands() {
     let mut random = Random::new(12);
-    let (controller, arms) = usual(&mut random, 40);
+    let (controller, arms) = default_controller(&mut random, 40);
     let width = BatchState::new(7, 1).unwrap().as_slice().len();
     for _ in 0..200 {
         let numbers: Vec<f64> = (0..40 * width)
@@ -314,7 +314,7 @@ fn numbers_that_no_step_has_written_harm_nobody() {
     }
 }
 
-/// Returns caps and adaptation (`ARMS` × 6) within the bounds of the controller, NaN for axes that do not yield.
+/// Returns random caps and adaptation (`ARMS` × 6) within the bounds of the controller; NaN for axes that do not yield.
 fn row_axes(random: &mut Random, controller: &Controller) -> [Vec<f64>; 2] {
     let (mut caps, mut adaptation) = (Vec::new(), Vec::new());
     let strengths = controller.axis_strengths();
@@ -355,13 +355,13 @@ fn settings_of_row(controller: &Controller, caps: Option<&[f64]>, adaptation: Op
 }
 
 #[test]
-fn caps_and_adaptation_of_a_row_are_those_of_a_controller_of_its_own() {
+fn a_row_with_caps_and_adaptation_equals_a_separate_controller() {
     let (mut random, mut softened) = (Random::new(11), 0);
     for (index, controller) in controllers(&mut random, 3).into_iter().enumerate() {
         let (model, n) = (Arc::clone(controller.model()), controller.model().n());
         let [caps, adaptation] = row_axes(&mut random, &controller);
         let (caps, adaptation) = ((index % 3 != 1).then_some(&*caps), (index % 3 != 2).then_some(&*adaptation));
-        let mut alone: Vec<Controller> = (0..ARMS)
+        let mut singles: Vec<Controller> = (0..ARMS)
             .map(|row| {
                 let settings = settings_of_row(&controller, caps, adaptation, row);
                 Controller::new(Arc::clone(&model), settings, controller.servos().cloned()).unwrap()
@@ -372,7 +372,7 @@ fn caps_and_adaptation_of_a_row_are_those_of_a_controller_of_its_own() {
             tracking: Tracking { goal_slew: f64::INFINITY, ..settings.tracking.clone() },
             ..settings.clone()
         };
-        let mut fresh = alone[ARMS - 1].clone();
+        let mut fresh = singles[ARMS - 1].clone();
         fresh.update(free(&settings_of_row(&controller, caps, adaptation, ARMS - 1))).unwrap();
         let mut state = BatchState::new(n, ARMS).unwrap();
         let (mut out, mut plain) = (Out::new(ARMS, n), Out::new(ARMS, n));
@@ -380,10 +380,10 @@ fn caps_and_adaptation_of_a_row_are_those_of_a_controller_of_its_own() {
             let arms = Arms::new(&mut random, &model, ARMS);
             let input = BatchInput { caps, adaptation, ..arms.input(Some(0.01), false) };
             controller.step_batch(&input, Some(&mut state), out.command()).unwrap();
-            for (row, own) in alone.iter_mut().enumerate() {
+            for (row, single_controller) in singles.iter_mut().enumerate() {
                 let step = StepInput { dt: Some(0.01), ..StepInput::default() };
-                let want = single(own, &arms.q[row * n..][..n], &arms.poses[row], &step);
-                assert_eq!(out.row(row, n), want, "arm {row}, tick {tick}, {:?}", own.settings());
+                let want = single(single_controller, &arms.q[row * n..][..n], &arms.poses[row], &step);
+                assert_eq!(out.row(row, n), want, "arm {row}, tick {tick}, {:?}", single_controller.settings());
             }
             controller.step_batch(&input, None, out.command()).unwrap();
             let (row, step) = (ARMS - 1, StepInput { dt: Some(0.01), ..StepInput::default() });
@@ -398,7 +398,7 @@ fn caps_and_adaptation_of_a_row_are_those_of_a_controller_of_its_own() {
 }
 
 #[test]
-fn wrong_caps_and_adaptation_are_named_with_row_and_axis() {
+fn errors_name_row_and_axis_of_invalid_caps_and_adaptation() {
     let mut random = Random::new(12);
     let model = seeded::arm(0, &ModelOptions::default());
     let mut settings = Settings::default();
@@ -416,7 +416,7 @@ fn wrong_caps_and_adaptation_are_named_with_row_and_axis() {
     controller.step_batch(&input, Some(&mut state), out.command()).unwrap();
     let before = bits(state.as_slice());
     let over = format!("caps[70]: y [N] = {} is outside [0, {hold}]: the axis holds with {hold} N", hold + 1.0);
-    for (column, cap, adaptation, said) in [
+    for (column, cap, adaptation, expected_start) in [
         (1, hold + 1.0, 0.9, &*over),
         (1, -0.5, 0.9, "caps[70]: y [N] = -0.5 is outside [0, "),
         (1, none, 0.9, "caps[70]: y [N] = NaN is outside [0, "),
@@ -432,7 +432,7 @@ fn wrong_caps_and_adaptation_are_named_with_row_and_axis() {
         let input = BatchInput { caps: Some(&caps), adaptation: Some(&etas), ..input };
         for with_state in [true, false] {
             let error = controller.step_batch(&input, with_state.then_some(&mut state), out.command()).unwrap_err();
-            assert!(error.to_string().starts_with(said), "{error}");
+            assert!(error.to_string().starts_with(expected_start), "{error}");
             assert_eq!(bits(state.as_slice()), before);
         }
         let input = BatchInput { invalid: OnInvalid::Nan, ..input };

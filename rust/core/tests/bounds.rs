@@ -1,5 +1,4 @@
-//! Bounds on commands that hold for every input, and continuity: a small change of the reading changes the command
-//! little.
+//! Bounds on commands for every input, and continuity: a small change of the reading changes the command only slightly.
 
 use std::sync::Arc;
 
@@ -23,7 +22,7 @@ fn open() -> Settings {
 }
 
 #[test]
-fn caps_ceilings_and_floors_hold() {
+fn forces_and_torque_limits_stay_within_their_bounds() {
     let mut random = Random::new(21);
     let (mut soft_ticks, mut stiff_ticks) = (0, 0);
     for round in 0..600 {
@@ -33,7 +32,7 @@ fn caps_ceilings_and_floors_hold() {
         let settings =
             cases::settings(&mut random, &model, [Law::Cap, Law::Paper, Law::Impedance, Law::Paper][round % 4]);
         let servos = cases::servos(&mut random, &seeded::servos(index), n);
-        let settings = cases::tamed(&model, settings, Some(&servos));
+        let settings = cases::accepted_settings(&model, settings, Some(&servos));
         let mut controller = Controller::new(Arc::clone(&model), settings.clone(), Some(servos.clone())).unwrap();
         let mut q = random.joints(&model, 1.0);
         let target = random.target(&model, &q, 0.3, 1.0);
@@ -69,10 +68,10 @@ fn caps_ceilings_and_floors_hold() {
 }
 
 #[test]
-fn the_target_moves_within_its_bounds() {
+fn the_reference_moves_within_its_bounds() {
     let model = arm(0);
     let mut random = Random::new(22);
-    // Strong servos without a goal slew, so that only the bounds under test hold the reference back.
+    // Strong servos and goals without a speed limit, so that only the bounds under test limit the reference.
     let settings = Settings {
         max_tool_speed: [0.2, 0.8],
         max_tool_acceleration: [1.5, 5.0],
@@ -100,7 +99,7 @@ fn the_target_moves_within_its_bounds() {
         assert!(size(&change) <= 1.5 * (1.0 + 1e-6), "tick {tick}: {change:?}");
         (before, last) = (velocity, now);
     }
-    // A target that moves within the bounds is passed on unchanged.
+    // The reference equals a target that moves within the bounds.
     controller.reset(&q).unwrap();
     for tick in 0..200 {
         slow.position[1] = tool.position[1] + 0.05 * (1.0 - (0.02 * f64::from(tick)).cos());
@@ -123,13 +122,13 @@ impl Probe {
         let posture = vec![0.1; q.len()];
         let input = StepInput { posture: Some(&posture), ..StepInput::default() };
         let command = *controller.step(q, &self.target, &input).unwrap();
-        // Torque limits are divided by a stiffness, so that they compare with goals [rad].
+        // Divide torque limits by a stiffness, so that they are comparable with goals [rad].
         let limits = command.torque_limit().iter().map(|t| t / 60.0);
         (command.goal().iter().copied().chain(limits).collect(), controller)
     }
 
-    /// Returns the largest jump of the command between `a` and `b`: halves the interval with most of the change 24
-    /// times.
+    /// Returns the largest jump of the command between `a` and `b`: bisects the interval 24 times, each time toward the
+    /// half with the larger change.
     fn jump(&self, a: &[f64], b: &[f64]) -> f64 {
         let between = |s: f64| a.iter().zip(b).map(|(x, y)| x + s * (y - x)).collect::<Vec<_>>();
         let (mut low, mut high) = (0.0, 1.0);
@@ -148,30 +147,34 @@ impl Probe {
 }
 
 fn distance(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).fold(0.0, |most, (x, y)| most.max((x - y).abs()))
+    a.iter().zip(b).fold(0.0, |max_jump, (x, y)| max_jump.max((x - y).abs()))
 }
 
-/// Moves from `a` to `b` in small steps; returns each jump above `most`, and whether joints were locked or torques
-/// scaled there.
-fn jumps(probe: &Probe, a: &[f64], b: &[f64], most: f64) -> Vec<(f64, bool, bool)> {
+/// Moves from `a` to `b` in small steps; returns each jump above `max_jump`, with two flags: joints were locked there,
+/// and torques were scaled there.
+fn jumps(probe: &Probe, a: &[f64], b: &[f64], max_jump: f64) -> Vec<(f64, bool, bool)> {
     let steps: usize = 60;
     let at = |s: usize| a.iter().zip(b).map(|(x, y)| x + (y - x) * s as f64 / steps as f64).collect::<Vec<_>>();
-    let mut found = Vec::new();
+    let mut all_jumps = Vec::new();
     let mut before = probe.at(&at(0)).0;
     for s in 1..=steps {
         let (now, controller) = probe.at(&at(s));
-        if distance(&before, &now) > 2.0 * most {
+        if distance(&before, &now) > 2.0 * max_jump {
             let size = probe.jump(&at(s - 1), &at(s));
-            if size > most {
+            if size > max_jump {
                 let earlier = probe.at(&at(s - 1)).1;
                 let locked = |c: &Controller| c.diagnostics().locked.contains(&true);
                 let scaled = |c: &Controller| c.diagnostics().factors.iter().any(|f| *f < 1.0);
-                found.push((size, locked(&controller) || locked(&earlier), scaled(&controller) || scaled(&earlier)));
+                all_jumps.push((
+                    size,
+                    locked(&controller) || locked(&earlier),
+                    scaled(&controller) || scaled(&earlier),
+                ));
             }
         }
         before = now;
     }
-    found
+    all_jumps
 }
 
 fn one_sided(yields: CompliantSide, axis: &str) -> Settings {
@@ -187,7 +190,7 @@ fn one_sided(yields: CompliantSide, axis: &str) -> Settings {
 #[test]
 fn commands_are_continuous() {
     let mut random = Random::new(23);
-    let (mut found, mut walks) = (Vec::new(), 0);
+    let (mut all_jumps, mut paths) = (Vec::new(), 0);
     for round in 0..80 {
         let index = [0, 1][round % 2];
         let model = arm(index);
@@ -202,21 +205,21 @@ fn commands_are_continuous() {
         };
         let controller = Controller::new(Arc::clone(&model), settings, Some(seeded::servos(index))).unwrap();
         let middle = random.joints(&model, 0.5);
-        // The path passes the target, so that every deviation changes its sign.
+        // The target is on the path, so that every deviation changes its sign.
         let probe = Probe { controller, target: model.forward_kinematics(&middle).unwrap() };
-        let way = random.vector(7, 0.05);
-        let (a, b): (Vec<f64>, Vec<f64>) = middle.iter().zip(&way).map(|(m, w)| (m - w, m + w)).unzip();
-        found.extend(jumps(&probe, &a, &b, 1e-4));
-        walks += 1;
+        let direction = random.vector(7, 0.05);
+        let (a, b): (Vec<f64>, Vec<f64>) = middle.iter().zip(&direction).map(|(m, w)| (m - w, m + w)).unzip();
+        all_jumps.extend(jumps(&probe, &a, &b, 1e-4));
+        paths += 1;
     }
-    assert!(walks == 80 && found.is_empty(), "{found:?}");
+    assert!(paths == 80 && all_jumps.is_empty(), "{all_jumps:?}");
 }
 
 #[test]
-fn joints_leave_the_inverse_without_a_jump() {
+fn commands_are_continuous_when_joints_reach_limits() {
     let mut random = Random::new(24);
     for (soft, follow) in [(false, Follow::Free), (true, Follow::Free), (true, Follow::Hold)] {
-        let (mut found, mut onsets) = (Vec::new(), 0);
+        let (mut all_jumps, mut onsets) = (Vec::new(), 0);
         for _ in 0..30 {
             let model = arm(0);
             let mut settings =
@@ -230,7 +233,8 @@ fn joints_leave_the_inverse_without_a_jump() {
                     ..one_sided(CompliantSide::Both, "y")
                 };
             }
-            // Torque ceilings are out of reach here; `at_the_ceilings_only_small_jumps_remain` tests them.
+            // Servos so strong that torques do not reach their ceilings; `jumps_at_torque_ceilings_are_small` tests
+            // those.
             let strong = Servos { max_torque: vec![1e3], ..seeded::servos(0) };
             let controller = Controller::new(Arc::clone(&model), settings, Some(strong)).unwrap();
             // One joint moves to its limit.
@@ -243,36 +247,36 @@ fn joints_leave_the_inverse_without_a_jump() {
             let probe = Probe { controller, target: random.target(&model, &beyond, 0.01, 0.03) };
             let locked = |q: &[f64]| probe.at(q).1.diagnostics().locked.contains(&true);
             onsets += usize::from(!locked(&a) && locked(&b));
-            found.extend(jumps(&probe, &a, &b, 1e-4));
+            all_jumps.extend(jumps(&probe, &a, &b, 1e-4));
         }
-        assert!(onsets >= 3 && found.is_empty(), "soft {soft}, {follow:?}: {onsets} onsets, {found:?}");
+        assert!(onsets >= 3 && all_jumps.is_empty(), "soft {soft}, {follow:?}: {onsets} onsets, {all_jumps:?}");
     }
 }
 
 #[test]
-fn a_task_of_few_axes_is_continuous_too() {
+fn commands_of_tasks_with_few_axes_are_continuous() {
     let mut random = Random::new(25);
     let model = arm(2);
-    let mut found = Vec::new();
+    let mut all_jumps = Vec::new();
     for round in 0..40 {
         let mut settings = Settings { task: Task::parse(["xyz", "x z pitch"][round % 2]).unwrap(), ..open() };
         settings.set_axes("z", Axis { yields: Some(CompliantSide::Plus), adaptation: 0.9, ..Axis::default() }).unwrap();
         let controller = Controller::new(Arc::clone(&model), settings, Some(seeded::servos(2))).unwrap();
         let middle = random.joints(&model, 0.5);
         let probe = Probe { controller, target: model.forward_kinematics(&middle).unwrap() };
-        let way = random.vector(5, 0.05);
-        let (a, b): (Vec<f64>, Vec<f64>) = middle.iter().zip(&way).map(|(m, w)| (m - w, m + w)).unzip();
-        found.extend(jumps(&probe, &a, &b, 1e-4));
+        let direction = random.vector(5, 0.05);
+        let (a, b): (Vec<f64>, Vec<f64>) = middle.iter().zip(&direction).map(|(m, w)| (m - w, m + w)).unzip();
+        all_jumps.extend(jumps(&probe, &a, &b, 1e-4));
     }
-    assert!(found.is_empty(), "{found:?}");
+    assert!(all_jumps.is_empty(), "{all_jumps:?}");
 }
 
 #[test]
-fn at_the_ceilings_only_small_jumps_remain() {
+fn jumps_at_torque_ceilings_are_small() {
     // The soft part is reduced before the stiff part. If it changes its sign in a saturated joint, it returns in one
     // step.
     let mut random = Random::new(26);
-    let mut found = Vec::new();
+    let mut all_jumps = Vec::new();
     for round in 0..60 {
         let model = arm(0);
         let yields = [CompliantSide::Plus, CompliantSide::Both][round % 2];
@@ -280,9 +284,9 @@ fn at_the_ceilings_only_small_jumps_remain() {
         let controller = Controller::new(Arc::clone(&model), settings, Some(seeded::servos(0))).unwrap();
         let middle = random.joints(&model, 0.4);
         let probe = Probe { controller, target: random.target(&model, &middle, 0.1, 0.4) };
-        let way = random.vector(7, 0.05);
-        let (a, b): (Vec<f64>, Vec<f64>) = middle.iter().zip(&way).map(|(m, w)| (m - w, m + w)).unzip();
-        found.extend(jumps(&probe, &a, &b, 1e-4));
+        let direction = random.vector(7, 0.05);
+        let (a, b): (Vec<f64>, Vec<f64>) = middle.iter().zip(&direction).map(|(m, w)| (m - w, m + w)).unzip();
+        all_jumps.extend(jumps(&probe, &a, &b, 1e-4));
     }
-    assert!(found.iter().all(|(size, _, scaled)| *scaled && *size < 0.015), "{found:?}");
+    assert!(all_jumps.iter().all(|(size, _, scaled)| *scaled && *size < 0.015), "{all_jumps:?}");
 }

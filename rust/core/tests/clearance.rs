@@ -1,5 +1,5 @@
-//! Near a position limit, the rest posture no longer acts on an arm that a push displaces: the push does not have to
-//! overcome the null-space torque there.
+//! Near a position limit the posture task fades while a push displaces the arm, so that the push need not overcome its
+//! torque.
 
 use std::sync::Arc;
 
@@ -11,9 +11,9 @@ use crate::seeded;
 /// The grasp posture [rad]; clear of all position limits.
 const Q: [f64; 7] = [-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657];
 /// Another rest posture [rad]; clear of all position limits.
-const RATHER: [f64; 7] = [0.2, -0.3, 0.4, -1.4, 0.6, 0.4, 0.1];
+const OTHER_POSTURE: [f64; 7] = [0.2, -0.3, 0.4, -1.4, 0.6, 0.4, 0.1];
 
-/// Displacement of the tool along y [m], more than twice the default `soft_until`, so that it fully counts as a push.
+/// Displacement of the tool along y [m]; above twice the default `soft_until` it fully counts as a push.
 const PUSH: f64 = 0.03;
 
 fn arm() -> Arc<Model> {
@@ -21,7 +21,7 @@ fn arm() -> Arc<Model> {
 }
 
 /// Creates a controller with a yielding y axis, and without speed limits of target and goals.
-fn made(mut settings: Settings) -> Controller {
+fn controller_with(mut settings: Settings) -> Controller {
     settings.tracking.goal_slew = f64::INFINITY;
     (settings.max_tool_speed, settings.max_tool_acceleration) = ([f64::INFINITY; 2], [f64::INFINITY; 2]);
     settings.set_axes("y", Axis { yields: Some(CompliantSide::Both), ..Axis::default() }).unwrap();
@@ -29,8 +29,8 @@ fn made(mut settings: Settings) -> Controller {
 }
 
 /// Creates a controller with this rest posture; `None`: the positions at reset.
-fn wants(law: Law, posture: Option<&[f64]>) -> Controller {
-    made(Settings {
+fn controller_with_posture(law: Law, posture: Option<&[f64]>) -> Controller {
+    controller_with(Settings {
         law,
         null_space: NullSpace { posture: posture.map(<[f64]>::to_vec), ..NullSpace::default() },
         ..Settings::default()
@@ -45,45 +45,45 @@ fn goals(controller: &mut Controller, q: &[f64], push: f64) -> Vec<f64> {
     controller.step(q, &target, &StepInput::default()).unwrap().goal().to_vec()
 }
 
-/// Returns a controller with the rest posture `RATHER`, and one that is at its rest posture everywhere.
+/// Returns a controller with the rest posture `OTHER_POSTURE`, and one whose rest posture is that of each reset.
 fn pair(law: Law) -> (Controller, Controller) {
-    (wants(law, Some(&RATHER)), wants(law, None))
+    (controller_with_posture(law, Some(&OTHER_POSTURE)), controller_with_posture(law, None))
 }
 
-/// Returns the largest difference in the goals [rad] of both controllers, the effect of the posture, at `q` with the
-/// tool displaced by `push` [m].
-fn say_under(push: f64, (one, other): &mut (Controller, Controller), q: &[f64]) -> f64 {
-    goals(one, q, push).iter().zip(goals(other, q, push)).fold(0.0, |most, (a, b)| most.max((a - b).abs()))
+/// Returns the effect of the posture task at `q` with the tool displaced by `push` [m]: the largest difference in the
+/// goals [rad] of both controllers.
+fn posture_effect_under(push: f64, (one, other): &mut (Controller, Controller), q: &[f64]) -> f64 {
+    goals(one, q, push).iter().zip(goals(other, q, push)).fold(0.0, |max, (a, b)| max.max((a - b).abs()))
 }
 
-/// Returns the effect of the posture on the goals at `q` [rad] under the displacement `PUSH`.
-fn say(pair: &mut (Controller, Controller), q: &[f64]) -> f64 {
-    say_under(PUSH, pair, q)
+/// Returns the effect of the posture task at `q` [rad] with the tool displaced by `PUSH`.
+fn posture_effect(pair: &mut (Controller, Controller), q: &[f64]) -> f64 {
+    posture_effect_under(PUSH, pair, q)
 }
 
 /// Returns the grasp posture with joint `i` at a distance of `room` [rad] from one of its limits.
-fn beside(i: usize, upper: bool, room: f64) -> Vec<f64> {
+fn near_limit(i: usize, upper: bool, room: f64) -> Vec<f64> {
     let (model, mut q) = (arm(), Q.to_vec());
     q[i] = if upper { model.upper()[i] - room } else { model.lower()[i] + room };
     q
 }
 
 #[test]
-fn a_posture_has_no_say_with_a_joint_at_its_limit() {
+fn the_posture_has_no_effect_with_a_joint_at_its_limit() {
     for law in [Law::Cap, Law::Impedance] {
         let mut pair = pair(law);
-        assert!(say(&mut pair, &Q) > 5e-4, "clear of all limits it has");
+        assert!(posture_effect(&mut pair, &Q) > 5e-4, "far from all limits, the posture has an effect");
         for (i, upper) in (0..7).flat_map(|i| [(i, false), (i, true)]) {
-            let [at, clear] = [0.0, 0.1].map(|room| say(&mut pair, &beside(i, upper, room)));
+            let [at, clear] = [0.0, 0.1].map(|room| posture_effect(&mut pair, &near_limit(i, upper, room)));
             assert!(at < 1e-12 && clear > 1e-4, "{law:?}, joint {i}, upper {upper}: {at} {clear}");
         }
     }
-    // Law `paper` does not reduce the posture at limits.
-    assert!(say(&mut pair(Law::Paper), &beside(0, true, 0.0)) > 5e-4);
+    // Law `paper` does not fade the posture task at limits.
+    assert!(posture_effect(&mut pair(Law::Paper), &near_limit(0, true, 0.0)) > 5e-4);
 }
 
 #[test]
-fn it_lets_go_evenly_from_a_twentieth_of_a_radian_on() {
+fn the_posture_fades_linearly_near_a_limit() {
     let mut posture = Q.map(|q| q + 0.01);
     posture[0] = 0.0;
     // Joint 0 itself has no weight in the posture cost: its distance from the posture changes in this test.
@@ -94,15 +94,15 @@ fn it_lets_go_evenly_from_a_twentieth_of_a_radian_on() {
             paper_options: PaperOptions { posture_weights, ..PaperOptions::default() },
             ..Settings::default()
         };
-        made(settings)
+        controller_with(settings)
     };
-    let (mut held, mut free) = (of(Some(posture.to_vec())), of(None));
+    let (mut with_posture, mut without_posture) = (of(Some(posture.to_vec())), of(None));
     let mut at = |room: f64| {
-        let q = beside(0, true, room);
-        goals(&mut held, &q, PUSH)
+        let q = near_limit(0, true, room);
+        goals(&mut with_posture, &q, PUSH)
             .iter()
-            .zip(goals(&mut free, &q, PUSH))
-            .fold(0.0_f64, |most, (a, b)| most.max((a - b).abs()))
+            .zip(goals(&mut without_posture, &q, PUSH))
+            .fold(0.0_f64, |max, (a, b)| max.max((a - b).abs()))
     };
     let whole = at(0.06);
     assert!(whole > 1e-3);
@@ -114,27 +114,30 @@ fn it_lets_go_evenly_from_a_twentieth_of_a_radian_on() {
 }
 
 #[test]
-fn a_posture_that_stands_at_a_limit_itself_is_held() {
-    let rest = beside(0, true, 0.0);
+fn a_rest_posture_at_a_limit_is_held() {
+    let rest = near_limit(0, true, 0.0);
     let mut displaced = rest.clone();
     displaced[4] += 0.2;
-    let pulled = say(&mut (wants(Law::Cap, Some(&rest)), wants(Law::Cap, None)), &displaced);
+    let pulled = posture_effect(
+        &mut (controller_with_posture(Law::Cap, Some(&rest)), controller_with_posture(Law::Cap, None)),
+        &displaced,
+    );
     assert!(pulled > 1e-3, "{pulled}");
-    assert!(say(&mut pair(Law::Cap), &displaced) < 1e-12, "another one has no say there");
+    assert!(posture_effect(&mut pair(Law::Cap), &displaced) < 1e-12, "another posture has no effect there");
 }
 
 #[test]
-fn without_a_push_it_leads_a_joint_away_from_its_limit() {
+fn without_a_push_the_posture_moves_a_joint_off_its_limit() {
     for law in [Law::Cap, Law::Impedance] {
         let mut pair = pair(law);
         for i in 0..7 {
-            let at = say_under(0.0, &mut pair, &beside(i, false, 0.0));
+            let at = posture_effect_under(0.0, &mut pair, &near_limit(i, false, 0.0));
             assert!(at > 1e-4, "{law:?}, joint {i}: {at}");
         }
-        // The posture fades between a deviation of `soft_until` and twice that; its torque limit acts before, so half
-        // way it is below `none`.
-        let q = beside(0, true, 0.0);
-        let [none, half, whole] = [0.01, 0.0198, 0.02].map(|push| say_under(push, &mut pair, &q));
+        // The posture task fades between a deviation of `soft_until` and twice that. Its torque is limited before the
+        // fade, so the middle of the fade must be tested near its end.
+        let q = near_limit(0, true, 0.0);
+        let [none, half, whole] = [0.01, 0.0198, 0.02].map(|push| posture_effect_under(push, &mut pair, &q));
         assert!(none > 1e-4 && whole < 1e-12, "{law:?}: {none} {whole}");
         assert!(half < none && half > whole, "{law:?}: {none} {half} {whole}");
     }

@@ -1,4 +1,4 @@
-//! Replays the inputs that `fuzz/` keeps, and as many short random ones, with the stable compiler.
+//! Runs the fuzz targets with the stable compiler, on the inputs in `fuzz/corpus` and on random ones.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,
@@ -23,7 +23,7 @@ mod targets;
 #[global_allocator]
 static ALLOCATOR: targets::memory::Counting = targets::memory::Counting;
 
-/// Returns the number of random inputs per target beside the kept ones: 200, or the environment variable `PLIANT_FUZZ`.
+/// Returns the number of random inputs per target: the environment variable `PLIANT_FUZZ`, default 200.
 fn random_inputs() -> usize {
     std::env::var("PLIANT_FUZZ").ok().and_then(|count| count.parse().ok()).unwrap_or(200)
 }
@@ -35,13 +35,13 @@ fn replay(name: &str) {
     files.sort();
     assert!(files.len() > 5, "{} holds {} inputs", folder.display(), files.len());
     for file in files {
-        println!("{}", file.display()); // The last line names the input that fails.
+        println!("{}", file.display()); // The last line printed before a panic names the input that fails.
         run(&fs::read(&file).unwrap());
     }
     let mut random = seeded::Random::new(7);
     for _ in 0..random_inputs() {
         let length = random.below(300);
-        // Small bytes are frequent: they choose usual numbers, so that a run gets beyond its first call.
+        // Prefer small bytes: they select usual numbers, so that a run gets beyond its first call.
         let byte = |random: &mut seeded::Random| match random.below(3) {
             0 => random.next().to_le_bytes()[0],
             1 => random.next().to_le_bytes()[0] % 8,

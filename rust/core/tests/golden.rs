@@ -1,4 +1,5 @@
-//! Intermediate values of the control step against `tests/data/golden`, computed with Pinocchio and NumPy.
+//! Compares intermediate values of the control step with those in `tests/data/golden`, computed with Pinocchio and
+//! NumPy.
 
 use std::sync::Arc;
 
@@ -44,7 +45,8 @@ fn close(what: &str, case: usize, got: f64, expected: f64, scale: f64) {
     assert!((got - expected).abs() <= TOLERANCE * scale.max(1.0), "case {case}, {what}: {got} instead of {expected}");
 }
 
-/// Returns the settings of a case in the conventions of this crate: its `compliant_pos` is `yields="-"` here.
+/// Returns the settings of a case. Its flag `compliant_pos` names the sign of the deviation; `CompliantSide` names the
+/// direction of the push, which is opposite.
 fn settings(case: &Value) -> Settings {
     let mut settings = Settings {
         law: Law::Paper,
@@ -81,8 +83,7 @@ fn settings(case: &Value) -> Settings {
             (false, true) => CompliantSide::Plus,
             (false, false) => CompliantSide::None,
         };
-        // `Axis` rejects firm > hold, so firm is reduced; the tests of the public equations cover the torques of such
-        // cases.
+        // `Axis` rejects firm > hold, which some cases have. Reduce firm; torques are not compared in these cases.
         let firm = firm[axis].min(hold[axis]);
         settings.axes[axis] = Axis {
             soft: Some([soft[axis]; 2]),
@@ -117,7 +118,7 @@ fn the_step_reproduces_every_quantity() {
         let firm_above_hold = vector(&case["tau_max"]).iter().zip(vector(&case["tau_stiff"])).any(|(f, h)| *f > h);
         let mut controller = Controller::new(Arc::clone(&model), settings(case), None).unwrap();
         let q = vector(&case["q"]);
-        // The gradient in the file is the direction of ascent, hence the sign.
+        // The file has the negative gradient of the cost.
         let gradient: Vec<f64> = vector(&case["grad"]).iter().map(|g| -g).collect();
         let input = StepInput { gradient: Some(&gradient), ..StepInput::default() };
         let command = *controller.step(&q, &target(case), &input).unwrap();

@@ -7,7 +7,7 @@ use crate::common::data;
 
 /// Asserts that a file of `data/guards` is rejected with a message that contains all `pieces`.
 #[track_caller]
-fn refused(file: &str, pieces: &[&str]) {
+fn assert_rejected(file: &str, pieces: &[&str]) {
     let path = data("guards").join(file).with_extension("urdf");
     let error = Model::from_urdf_file(&path, &ModelOptions::default()).expect_err(file);
     let message = error.to_string();
@@ -20,104 +20,125 @@ fn refused(file: &str, pieces: &[&str]) {
 }
 
 #[track_caller]
-fn accepted(file: &str) -> Model {
+fn read(file: &str) -> Model {
     let path = data("guards").join(file).with_extension("urdf");
     Model::from_urdf_file(&path, &ModelOptions::default()).unwrap()
 }
 
 #[test]
-fn guard_01_position_limits_are_there_and_in_order() {
+fn guard_01_position_limits_exist_and_are_ordered() {
     let remedy = "pass limits = {\"j\": (lower, upper)}";
-    refused("01_no_limit", &["joint 'j' (revolute) has no lower and upper position limits", remedy, ".urdf:4:3: "]);
-    refused("01_no_lower", &["joint 'j' (revolute) has no lower position limit", remedy]);
-    refused("01_no_range_version_1_2", &["joint 'j' (revolute) has no lower and upper position limits", remedy]);
-    refused("01_limits_reversed", &["joint 'j': lower limit 1 is above upper limit -1"]);
-    refused("01_limits_equal", &["joint 'j' (revolute) has lower = upper = 0 and cannot move", remedy]);
-    refused("01_limits_nan", &["joint 'j': lower of <limit> is \"nan\"", "'nan' is not a finite number", ":7:5: "]);
+    assert_rejected(
+        "01_no_limit",
+        &["joint 'j' (revolute) has no lower and upper position limits", remedy, ".urdf:4:3: "],
+    );
+    assert_rejected("01_no_lower", &["joint 'j' (revolute) has no lower position limit", remedy]);
+    assert_rejected(
+        "01_no_range_version_1_2",
+        &["joint 'j' (revolute) has no lower and upper position limits", remedy],
+    );
+    assert_rejected("01_limits_reversed", &["joint 'j': lower limit 1 is above upper limit -1"]);
+    assert_rejected("01_limits_equal", &["joint 'j' (revolute) has lower = upper = 0 and cannot move", remedy]);
+    assert_rejected(
+        "01_limits_nan",
+        &["joint 'j': lower of <limit> is \"nan\"", "'nan' is not a finite number", ":7:5: "],
+    );
 }
 
 #[test]
-fn guard_02_effort_that_nobody_filled_in_is_absent() {
-    assert_eq!(accepted("02_effort_absent").effort_limit(), [None, None, None]);
-    refused("02_effort_nan", &["joint 'j': effort of <limit> is \"nan\""]);
+fn guard_02_an_empty_effort_counts_as_absent() {
+    assert_eq!(read("02_effort_absent").effort_limit(), [None, None, None]);
+    assert_rejected("02_effort_nan", &["joint 'j': effort of <limit> is \"nan\""]);
 }
 
 #[test]
-fn guard_03_velocity_that_nobody_filled_in_is_absent() {
-    assert_eq!(accepted("03_velocity_absent").velocity_limit(), [None, None]);
-    refused("03_velocity_not_a_number", &["joint 'j': velocity of <limit> is \"fast\"", "expected 1 finite number"]);
+fn guard_03_an_empty_velocity_counts_as_absent() {
+    assert_eq!(read("03_velocity_absent").velocity_limit(), [None, None]);
+    assert_rejected(
+        "03_velocity_not_a_number",
+        &["joint 'j': velocity of <limit> is \"fast\"", "expected 1 finite number"],
+    );
 }
 
 #[test]
-fn guard_04_mimics_lead_to_a_joint_that_moves() {
-    refused("04_mimic_itself", &["joint 'k' is in a ring of mimics that leads back to 'k'; one joint must lead"]);
-    refused("04_mimic_ring", &["joint 'j' is in a ring of mimics that leads back to", "one joint must lead"]);
-    refused("04_mimic_unknown", &["joint 'k' mimics 'J', which does not exist; joints: j, k"]);
-    refused(
+fn guard_04_mimics_refer_to_a_moving_joint() {
+    assert_rejected(
+        "04_mimic_itself",
+        &["joint 'k' is in a ring of mimics that leads back to 'k'; one joint must lead"],
+    );
+    assert_rejected("04_mimic_ring", &["joint 'j' is in a ring of mimics that leads back to", "one joint must lead"]);
+    assert_rejected("04_mimic_unknown", &["joint 'k' mimics 'J', which does not exist; joints: j, k"]);
+    assert_rejected(
         "04_mimic_fixed_on_chain",
         &["joint 'k' mimics 'j', which is of type 'fixed' and never moves", "locked = {\"k\": value}"],
     );
-    refused("04_mimic_zero", &["joint 'k' mimics 'j' with multiplier 0; make the joint fixed"]);
+    assert_rejected("04_mimic_zero", &["joint 'k' mimics 'j' with multiplier 0; make the joint fixed"]);
     let bound = "each must be at most 1000000";
-    refused("04_mimic_multiplier", &["joint 'k' mimics 'j' with multiplier 1e300 and offset 0.0", bound]);
-    refused("04_mimic_offset", &["joint 'k' mimics 'j' with multiplier 1.0 and offset 1e300", bound]);
-    refused("04_mimic_chain", &["joint 'l' mimics 'j' with multiplier 100000000.0 and offset 0.0", bound]);
+    assert_rejected("04_mimic_multiplier", &["joint 'k' mimics 'j' with multiplier 1e300 and offset 0.0", bound]);
+    assert_rejected("04_mimic_offset", &["joint 'k' mimics 'j' with multiplier 1.0 and offset 1e300", bound]);
+    assert_rejected("04_mimic_chain", &["joint 'l' mimics 'j' with multiplier 100000000.0 and offset 0.0", bound]);
 }
 
 #[test]
-fn guard_05_axes_point_somewhere() {
-    refused("05_axis_zero", &["joint 'j': axis [0.0, 0.0, 0.0] has length 0", "e.g. \"0 0 1\"", ":6:5: "]);
-    refused("05_axis_nan", &["joint 'j': xyz of <axis> is \"0 nan 1\"; 'nan' is not a finite number"]);
+fn guard_05_axes_are_not_zero() {
+    assert_rejected("05_axis_zero", &["joint 'j': axis [0.0, 0.0, 0.0] has length 0", "e.g. \"0 0 1\"", ":6:5: "]);
+    assert_rejected("05_axis_nan", &["joint 'j': xyz of <axis> is \"0 nan 1\"; 'nan' is not a finite number"]);
 }
 
 #[test]
-fn guard_06_numbers_are_numbers() {
-    refused(
+fn guard_06_numbers_are_finite_and_complete() {
+    assert_rejected(
         "06_four_tokens",
         &["xyz of <origin> is \"abc 1 2 3\"; 'abc' is not a finite number; expected 3 finite numbers, got 4"],
     );
-    refused("06_expression", &["xyz of <origin> is \"${x} 0 0 1\"", "xacro robot.urdf.xacro > robot.urdf"]);
-    refused("06_two_tokens", &["rpy of <origin> is \"0 1\"; expected 3 finite numbers, got 2 words"]);
-    refused("06_infinite", &["xyz of <origin> is \"0 inf 0\"; 'inf' is not a finite number"]);
-    refused("06_negative_mass", &["link 'arm': mass is -1 kg; it must be between 0 and 1e6"]);
-    refused("06_negative_inertia", &["link 'arm': ixx is -1 kg·m²; it must not be negative"]);
-    refused("06_nan_inertia", &["link 'arm': iyz of <inertia> is \"nan\""]);
+    assert_rejected("06_expression", &["xyz of <origin> is \"${x} 0 0 1\"", "xacro robot.urdf.xacro > robot.urdf"]);
+    assert_rejected("06_two_tokens", &["rpy of <origin> is \"0 1\"; expected 3 finite numbers, got 2 words"]);
+    assert_rejected("06_infinite", &["xyz of <origin> is \"0 inf 0\"; 'inf' is not a finite number"]);
+    assert_rejected("06_negative_mass", &["link 'arm': mass is -1 kg; it must be between 0 and 1e6"]);
+    assert_rejected("06_negative_inertia", &["link 'arm': ixx is -1 kg·m²; it must not be negative"]);
+    assert_rejected("06_nan_inertia", &["link 'arm': iyz of <inertia> is \"nan\""]);
 }
 
 #[test]
-fn guard_07_names_are_unique_and_there() {
-    refused("07_link_twice", &["two links are named 'arm', first in line 3; names must be unique", ":4:3: "]);
-    refused("07_joint_twice", &["two joints are named 'j', first in line 5"]);
-    refused("07_link_unnamed", &["a link without a name; give it name=\"...\"", ":3:3: "]);
-    refused("07_joint_unnamed", &["a joint without a name"]);
+fn guard_07_names_exist_and_are_unique() {
+    assert_rejected("07_link_twice", &["two links are named 'arm', first in line 3; names must be unique", ":4:3: "]);
+    assert_rejected("07_joint_twice", &["two joints are named 'j', first in line 5"]);
+    assert_rejected("07_link_unnamed", &["a link without a name; give it name=\"...\"", ":3:3: "]);
+    assert_rejected("07_joint_unnamed", &["a joint without a name"]);
 }
 
 #[test]
 fn guard_08_links_form_one_tree() {
-    refused("08_two_roots", &["2 links have no parent joint (base, b); a robot has one root"]);
-    refused("08_two_parents", &["link 'c' has two parents: joint 'l' and joint 'm'; a robot must be a tree"]);
-    refused("08_loop", &["every link has a parent joint, so the joints form a loop"]);
-    refused("08_loop_beside_root", &["link 'a' is not connected to the root 'base': its parents form a loop"]);
-    refused("08_own_parent", &["joint 'j': link 'arm' is its own parent"]);
-    refused("08_unknown_link", &["joint 'j': child link 'arn' does not exist; links: arm, base", ":4:3: "]);
-    refused("08_no_parent", &["joint 'j': <parent link=\"...\"/> is missing"]);
+    assert_rejected("08_two_roots", &["2 links have no parent joint (base, b); a robot has one root"]);
+    assert_rejected("08_two_parents", &["link 'c' has two parents: joint 'l' and joint 'm'; a robot must be a tree"]);
+    assert_rejected("08_loop", &["every link has a parent joint, so the joints form a loop"]);
+    assert_rejected("08_loop_beside_root", &["link 'a' is not connected to the root 'base': its parents form a loop"]);
+    assert_rejected("08_own_parent", &["joint 'j': link 'arm' is its own parent"]);
+    assert_rejected("08_unknown_link", &["joint 'j': child link 'arn' does not exist; links: arm, base", ":4:3: "]);
+    assert_rejected("08_no_parent", &["joint 'j': <parent link=\"...\"/> is missing"]);
 }
 
 #[test]
 fn guard_09_the_text_is_an_expanded_robot_that_moves() {
     let remedy = "expand the file first: xacro robot.urdf.xacro > robot.urdf";
-    refused("09_xacro_element", &["the element <xacro:property> shows that xacro was not run", remedy, ":2:3: "]);
-    refused("09_xacro_undeclared", &["xacro was not run", remedy, ":2:"]);
-    refused("09_xacro_name", &["the name '${prefix}base' shows that xacro was not run", remedy]);
-    refused("09_mjcf", &["the root element is <mujoco>, not <robot>: this is an MJCF model of MuJoCo", ":1:1: "]);
-    refused("09_sdf", &["the root element is <sdf>, not <robot>: this looks like SDF (Gazebo)", ":2:1: "]);
-    refused("09_no_links", &["the robot has no links"]);
-    refused("09_nothing_moves", &["no joint between base and tip can move", "frames: base, arm"]);
+    assert_rejected(
+        "09_xacro_element",
+        &["the element <xacro:property> shows that xacro was not run", remedy, ":2:3: "],
+    );
+    assert_rejected("09_xacro_undeclared", &["xacro was not run", remedy, ":2:"]);
+    assert_rejected("09_xacro_name", &["the name '${prefix}base' shows that xacro was not run", remedy]);
+    assert_rejected(
+        "09_mjcf",
+        &["the root element is <mujoco>, not <robot>: this is an MJCF model of MuJoCo", ":1:1: "],
+    );
+    assert_rejected("09_sdf", &["the root element is <sdf>, not <robot>: this looks like SDF (Gazebo)", ":2:1: "]);
+    assert_rejected("09_no_links", &["the robot has no links"]);
+    assert_rejected("09_nothing_moves", &["no joint between base and tip can move", "frames: base, arm"]);
 }
 
 #[test]
-fn guard_10_no_program_is_started_for_a_file_by_its_name() {
-    // The extension does not matter: other readers would run `xacro` on this file, this one reads its text.
+fn guard_10_xacro_is_not_run_for_a_file_extension() {
+    // The reader must ignore the extension, with which other readers run the program `xacro`.
     let path = std::env::temp_dir().join(format!("pliant-guard-{}.xacro", std::process::id()));
     std::fs::copy(data("guards/03_velocity_absent.urdf"), &path).unwrap();
     let model = Model::from_urdf_file(&path, &ModelOptions::default());
@@ -128,42 +149,42 @@ fn guard_10_no_program_is_started_for_a_file_by_its_name() {
 }
 
 #[test]
-fn guard_11_joints_without_one_coordinate() {
-    refused(
+fn guard_11_joints_without_one_degree_of_freedom() {
+    assert_rejected(
         "11_floating_on_chain",
         &["joint 'float' is of type 'floating', which has no single coordinate", "choose a base below it"],
     );
-    refused(
+    assert_rejected(
         "11_unknown_type",
         &["joint 'j': type is 'screw'; it must be one of revolute, continuous, prismatic, fixed"],
     );
 }
 
 #[test]
-fn guard_12_inertials_are_whole() {
-    refused(
+fn guard_12_inertials_are_complete() {
+    assert_rejected(
         "12_no_inertia",
         &["link 'arm': <inertial> without <inertia ixx=", "leave <inertial> out for a massless link", ":4:5: "],
     );
-    refused("12_no_mass", &["link 'arm': <inertial> without <mass value=\"...\"/>"]);
+    assert_rejected("12_no_mass", &["link 'arm': <inertial> without <mass value=\"...\"/>"]);
 }
 
 #[test]
 fn guard_13_hostile_xml() {
-    refused("13_entities", &["a DOCTYPE is refused", "remove it", ":2:1: "]);
-    refused("13_unknown_entity", &["unknown entity '&b;'", ":1:"]);
-    refused("13_truncated", &["the text ends too early; </robot> is missing"]);
-    refused("13_crossed", &["not well-formed XML", ":2:"]);
+    assert_rejected("13_entities", &["a DOCTYPE is refused", "remove it", ":2:1: "]);
+    assert_rejected("13_unknown_entity", &["unknown entity '&b;'", ":1:"]);
+    assert_rejected("13_truncated", &["the text ends too early; </robot> is missing"]);
+    assert_rejected("13_crossed", &["not well-formed XML", ":2:"]);
 }
 
 #[test]
 fn guard_14_quaternions() {
     let old = "joint 'j': quat_xyzw needs <robot version=\"1.1\"> or later";
-    refused("14_quat_in_1_0", &[old, "use rpy"]);
-    refused("14_quat_in_1", &[old]);
-    refused("14_quat_norm", &["joint 'j': quat_xyzw has norm 2; it must be 1 within 1e-3"]);
-    refused("14_quat_three", &["quat_xyzw of <origin> is \"0 0 1\"; expected 4 finite numbers, got 3 words"]);
-    refused("14_quat_and_rpy", &["joint 'j': <origin> has both rpy and quat_xyzw; keep one"]);
+    assert_rejected("14_quat_in_1_0", &[old, "use rpy"]);
+    assert_rejected("14_quat_in_1", &[old]);
+    assert_rejected("14_quat_norm", &["joint 'j': quat_xyzw has norm 2; it must be 1 within 1e-3"]);
+    assert_rejected("14_quat_three", &["quat_xyzw of <origin> is \"0 0 1\"; expected 4 finite numbers, got 3 words"]);
+    assert_rejected("14_quat_and_rpy", &["joint 'j': <origin> has both rpy and quat_xyzw; keep one"]);
 }
 
 #[test]

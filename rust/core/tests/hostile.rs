@@ -1,4 +1,4 @@
-//! Any text gives a model or an error, never a panic or an endless loop.
+//! Arbitrary text gives a model or an error, never a panic or an endless loop.
 
 use std::time::Instant;
 
@@ -8,7 +8,7 @@ use proptest::prelude::*;
 use crate::common::root;
 
 /// Reads the text; if that succeeds, also computes kinematics with the model.
-fn survives(text: &str) {
+fn read_and_use(text: &str) {
     if let Ok(model) = Model::from_urdf_str(text, &ModelOptions::default()) {
         let q = vec![0.3; model.n()];
         model.gravity(&q).unwrap();
@@ -17,9 +17,9 @@ fn survives(text: &str) {
 }
 
 /// Xorshift generator with a fixed seed, so that the mutations are the same in every run.
-struct Dice(u64);
+struct Random(u64);
 
-impl Dice {
+impl Random {
     fn below(&mut self, bound: usize) -> usize {
         self.0 ^= self.0 << 13;
         self.0 ^= self.0 >> 7;
@@ -60,7 +60,7 @@ fn ten_thousand_mutations_of_a_robot() {
     let original = std::fs::read_to_string(root().join("tests/data/golden/arm7.urdf")).unwrap();
     let start = original.find("<robot").unwrap();
     let original: Vec<char> = original[start..].chars().collect();
-    let mut dice = Dice(0x9E37_79B9_7F4A_7C15);
+    let mut dice = Random(0x9E37_79B9_7F4A_7C15);
     let mut accepted = 0;
     for _ in 0..10_000 {
         let mut text = original.clone();
@@ -84,7 +84,7 @@ fn ten_thousand_mutations_of_a_robot() {
         }
         let text: String = text.into_iter().collect();
         accepted += usize::from(Model::from_urdf_str(&text, &ModelOptions::default()).is_ok());
-        survives(&text);
+        read_and_use(&text);
     }
     println!("{accepted} of 10000 mutants still load");
     assert!(accepted > 100 && accepted < 9_900);
@@ -95,12 +95,12 @@ proptest! {
 
     #[test]
     fn any_string(text in any::<String>()) {
-        survives(&text);
+        read_and_use(&text);
     }
 
     #[test]
     fn any_attributes(name in any::<String>(), numbers in "[-+0-9.eEinfa \t\n]{0,30}", kind in "[a-z]{0,12}", attribute in "[a-z_:]{1,8}") {
-        survives(&format!(
+        read_and_use(&format!(
             "<robot name=\"{name}\"><link name=\"{name}\"><inertial><mass value=\"{numbers}\"/><inertia ixx=\"{numbers}\"/></inertial>\
              </link><link name=\"b\" {attribute}=\"{numbers}\"/><joint name=\"j\" type=\"{kind}\"><parent link=\"{name}\"/>\
              <child link=\"b\"/><origin xyz=\"{numbers}\" rpy=\"{numbers}\"/><axis xyz=\"{numbers}\"/><limit lower=\"{numbers}\" \
@@ -110,7 +110,7 @@ proptest! {
 
     #[test]
     fn any_numbers(x in any::<f64>(), y in any::<f64>(), z in any::<f64>()) {
-        survives(&format!(
+        read_and_use(&format!(
             "<robot name=\"r\"><link name=\"a\"/><link name=\"b\"><inertial><origin xyz=\"{x} {y} {z}\" rpy=\"{z} {x} {y}\"/><mass value=\"{x}\"/>\
              <inertia ixx=\"{x}\" ixy=\"0\" ixz=\"0\" iyy=\"{y}\" iyz=\"0\" izz=\"{z}\"/></inertial></link><joint name=\"j\" \
              type=\"prismatic\"><parent link=\"a\"/><child link=\"b\"/><origin xyz=\"{y} {z} {x}\" rpy=\"{x} {y} {z}\"/><axis xyz=\"{z} {y} {x}\"/>\
@@ -119,9 +119,10 @@ proptest! {
     }
 }
 
-/// The time limits are far above the measured time, one second, so that they detect a hang but not a slow machine.
+/// The time limits are far above the measured time of one second: they detect a hang, but do not fail on a slow
+/// machine.
 #[test]
-fn large_texts_end_soon() {
+fn large_texts_are_read_in_bounded_time() {
     let slots = |count: usize, one: &dyn Fn(usize) -> String| (0..count).map(one).collect::<String>();
     let link = |i: usize| format!("<link name=\"l{i}\"/>");
     let joint = |i: usize, kind: &str, more: &str| {

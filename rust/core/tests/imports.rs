@@ -1,4 +1,4 @@
-//! Checks the order of the crate's modules: each imports only from modules before it.
+//! Checks the order of the crate's modules: each imports from modules before it only.
 //!
 //! Reads every path that begins with `crate::` in the sources, including test modules. Comments are ignored, so that
 //! documentation may link to later modules.
@@ -48,7 +48,7 @@ fn code(text: &str) -> String {
     text.lines().map(|line| line.split("//").next().unwrap_or("")).collect::<Vec<_>>().join("\n")
 }
 
-/// Returns the first names after `crate::`, also those of a list in braces.
+/// Returns the first name after each `crate::`; for a list in braces, that of every entry.
 fn imported(code: &str) -> Vec<String> {
     let mut names = Vec::new();
     for (at, _) in code.match_indices("crate::") {
@@ -87,15 +87,15 @@ fn module(file: &Path, root: &Path) -> String {
     Path::new(first.as_os_str()).file_stem().unwrap().to_string_lossy().into_owned()
 }
 
-/// Returns a sentence for every import that points upward.
+/// Returns a message for every import from a later module.
 fn upward(from: &str, code: &str) -> Vec<String> {
-    let place = |name: &str| ORDER.iter().position(|module| *module == name);
-    let own = place(from);
+    let position_of = |name: &str| ORDER.iter().position(|module| *module == name);
+    let position = position_of(from);
     let wrong = |name: &String| {
-        let other = place(name);
-        own.is_some()
+        let other = position_of(name);
+        position.is_some()
             && other.is_some()
-            && (other > own || (APART.contains(&from) && APART.contains(&&**name)))
+            && (other > position || (APART.contains(&from) && APART.contains(&&**name)))
             && name != from
     };
     imported(code).into_iter().filter(wrong).map(|name| format!("{from} imports {name}")).collect()
@@ -104,24 +104,24 @@ fn upward(from: &str, code: &str) -> Vec<String> {
 #[test]
 fn modules_import_only_from_those_before_them() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
-    let mut found = Vec::new();
+    let mut violations = Vec::new();
     for file in source_files(&root) {
         let from = module(&file, &root);
         let text = fs::read_to_string(&file).unwrap();
-        found.extend(upward(&from, &code(&text)).into_iter().map(|what| format!("{}: {what}", file.display())));
+        violations.extend(upward(&from, &code(&text)).into_iter().map(|what| format!("{}: {what}", file.display())));
     }
-    assert!(found.is_empty(), "{}", found.join("\n"));
+    assert!(violations.is_empty(), "{}", violations.join("\n"));
 }
 
 #[test]
-fn every_module_has_a_place_in_the_order() {
+fn every_module_is_in_the_order() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
     let modules: BTreeSet<String> =
         source_files(&root).iter().map(|file| module(file, &root)).filter(|name| name != "lib").collect();
     assert_eq!(modules, ORDER.iter().map(|name| (*name).to_string()).collect());
 }
 
-/// Modules import only constants and array types from the root, so that the source of every other import is visible.
+/// Only constants and array types are imported from the root, so that every other import names its module.
 #[test]
 fn the_root_is_used_for_constants_and_array_types_only() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
@@ -133,7 +133,7 @@ fn the_root_is_used_for_constants_and_array_types_only() {
     }
 }
 
-/// In the file of a top-level module, `super` is the root, which would hide an import from this check.
+/// In the file of a top-level module, `super` is the root; an import through it would not be checked.
 #[test]
 fn no_top_module_imports_through_super() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
@@ -141,15 +141,15 @@ fn no_top_module_imports_through_super() {
         let inside = file.strip_prefix(&root).unwrap();
         if inside.components().count() == 1 || (inside.components().count() == 2 && inside.ends_with("mod.rs")) {
             let text = code(&fs::read_to_string(&file).unwrap());
-            let found: Vec<_> =
+            let violations: Vec<_> =
                 text.lines().filter(|line| line.contains("super::") && !line.contains("super::*")).collect();
-            assert!(found.is_empty(), "{}: {found:?}", file.display());
+            assert!(violations.is_empty(), "{}: {violations:?}", file.display());
         }
     }
 }
 
 #[test]
-fn an_upward_import_is_found_in_every_form() {
+fn upward_imports_are_detected_in_every_form() {
     for source in [
         "use crate::controller::Controller;",
         "use crate::{MAX_AXES, controller::Controller, pose::Pose};",

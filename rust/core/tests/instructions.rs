@@ -1,4 +1,4 @@
-//! All instruction sets give the same commands up to rounding; one instruction set gives the same bits in every run.
+//! All instruction sets give the same commands up to rounding. Within one set, commands are bit-identical in every run.
 
 use std::sync::Arc;
 
@@ -38,7 +38,7 @@ fn controller(model: &Arc<Model>, law: Law, simd_level: SimdLevel) -> Controller
 }
 
 #[test]
-fn sets_differ_by_rounding_alone() {
+fn instruction_sets_differ_by_rounding_only() {
     let model = arm();
     let sets = SimdLevel::available();
     assert_eq!(sets[0], SimdLevel::BASELINE);
@@ -60,8 +60,8 @@ fn sets_differ_by_rounding_alone() {
     }
 }
 
-/// Without a direction band, the deviation's sign alone decides on the strength of an axis that yields to one side, and
-/// at rest on the target that sign is rounding. A band removes the jump.
+/// Without a direction band, the sign of the deviation determines the strength of an axis that yields to one side. At
+/// rest on the target, that sign results from rounding. A band removes the jump.
 #[test]
 fn only_a_direction_band_makes_a_one_sided_axis_continuous_at_its_target() {
     let model = arm();
@@ -97,7 +97,7 @@ fn only_a_direction_band_makes_a_one_sided_axis_continuous_at_its_target() {
 }
 
 #[test]
-fn a_set_repeats_bit_for_bit() {
+fn one_instruction_set_is_deterministic() {
     let model = arm();
     for set in SimdLevel::available() {
         let (mut one, mut other) = (controller(&model, Law::Cap, set), controller(&model, Law::Cap, set));
@@ -136,7 +136,7 @@ fn run(controller: &mut Controller, ticks: std::ops::Range<u64>) -> Vec<[u64; 14
 }
 
 #[test]
-fn same_inputs_same_bits() {
+fn equal_inputs_give_equal_bits() {
     for law in [Law::Cap, Law::Impedance, Law::Paper] {
         let settings = Settings {
             law,

@@ -91,7 +91,7 @@ fn two_links_in_a_plane_agree_with_the_closed_form() {
 }
 
 #[test]
-fn tool_jacobian_and_gravity_agree_with_the_slow_way_and_its_differences() {
+fn pose_jacobian_and_gravity_agree_with_the_reference_and_its_differences() {
     for name in ROBOTS {
         let model = robot(name);
         for seed in 0..20 {
@@ -123,7 +123,7 @@ fn tool_jacobian_and_gravity_agree_with_the_slow_way_and_its_differences() {
 }
 
 #[test]
-fn payload_hangs_on_the_tool() {
+fn the_payload_is_at_the_tool() {
     let payload = Payload { mass: 0.7, com: [0.02, -0.03, 0.1] };
     let options =
         ModelOptions { payload: Some(payload), gravity: [1.0, -2.0, -9.0], ..common::between("base", "tool") };
@@ -154,11 +154,11 @@ fn joint_positions_are_checked() {
 }
 
 #[test]
-fn results_too_many_for_the_caches_are_the_same_bits() {
+fn non_temporal_stores_give_the_same_bits() {
     let model = arm7();
     let (n, count) = (model.n(), 150_003);
     let q: Vec<f64> = (0..count * n).map(|i| (0.37 * i as f64).sin()).collect();
-    // Offset by one number, so that neither slice begins at a cache line.
+    // Offset by one number, so that the slices are not aligned to cache lines.
     let (mut poses, mut jacobians) = (vec![0.0; 1 + 16 * count], vec![0.0; 1 + 6 * n * count]);
     let (poses, jacobians) = (&mut poses[1..], &mut jacobians[1..]);
     model.kinematics_batch(&q, Reference::WorldAligned, poses, jacobians).unwrap();
@@ -174,10 +174,11 @@ fn results_too_many_for_the_caches_are_the_same_bits() {
 }
 
 #[test]
-fn inverse_kinematics_returns_to_poses_it_was_given() {
+fn inverse_kinematics_finds_reachable_poses() {
     for name in ["arm7", "twisted_6r", "sliding", "hobby_5dof"] {
         let model = if name == "arm7" { arm7() } else { robot(name) };
-        // With four or five joints, a search from another start may miss a pose of six axes; a position can be reached.
+        // With four or five joints, a search from another start may miss a pose of six axes, so only the position is
+        // searched.
         let six = model.n() >= 6;
         let axes = [true, true, true, six, six, six];
         let options = IkOptions { axes, restarts: 20, ..IkOptions::default() };
@@ -205,7 +206,7 @@ fn inverse_kinematics_returns_to_poses_it_was_given() {
 }
 
 #[test]
-fn inverse_kinematics_says_why_not() {
+fn inverse_kinematics_reports_the_reason_of_a_failure() {
     let model = arm7();
     let start = [0.1, -0.3, 0.2, -1.2, 0.1, 0.2, 0.1];
     let mut far = model.forward_kinematics(&start).unwrap();
@@ -232,9 +233,9 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(500))]
 
     #[test]
-    fn fast_frames_equal_slow_ones_anywhere(which in 0..ROBOTS.len(), q in prop::collection::vec(-1e6..1e6, 6)) {
+    fn kinematics_equal_the_reference_anywhere(which in 0..ROBOTS.len(), q in prop::collection::vec(-1e6..1e6, 6)) {
         let model = robot(ROBOTS[which]);
-        // At 1e6 rad the rounding of the angle alone is 1e-10.
+        // At 1e6 rad, the rounding error of the angle itself is 1e-10.
         for scale in [1e-12_f64, 1e-6, 1e-3, 1.0] {
             let q: Vec<f64> = q[..model.n()].iter().map(|x| x * scale).collect();
             let slow = slow_tool(&model, &q);

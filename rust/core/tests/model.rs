@@ -25,7 +25,7 @@ fn limited(name: &str, lower: f64, upper: f64) -> ModelOptions {
 }
 
 #[test]
-fn arm7_is_what_its_file_says() {
+fn arm7_agrees_with_its_file() {
     let model = arm7();
     assert_eq!((model.name(), model.n(), model.base(), model.tip()), ("arm7", 7, "base", "tool"));
     assert_eq!(model.joint_names()[..2], ["shoulder_pitch", "shoulder_roll"]);
@@ -50,14 +50,14 @@ fn arm7_is_what_its_file_says() {
 }
 
 #[test]
-fn tip_is_found_only_where_there_is_one() {
+fn the_default_tip_must_be_unique() {
     assert_eq!(load("planar_2r", &ModelOptions::default()).unwrap().tip(), "tool");
     let two = message("hobby_5dof", &ModelOptions::default());
     assert!(two.starts_with("tip: this robot branches and ends in 2 links: finger, tool; say which frame is the tool, of: base, shoulder"), "{two}");
 }
 
 #[test]
-fn unknown_frames_are_named_beside_the_likeliest() {
+fn unknown_frames_are_listed_with_similar_names() {
     let error = load("hobby_5dof", &between("base", "tol")).unwrap_err();
     let Error::FrameNotFound { frame, available } = &error else { panic!("{error}") };
     assert_eq!((frame.as_str(), available[0].as_str(), available.len()), ("tol", "tool", 8));
@@ -66,7 +66,7 @@ fn unknown_frames_are_named_beside_the_likeliest() {
 }
 
 #[test]
-fn base_may_be_any_link_fixed_to_the_root_of_the_chain() {
+fn the_base_may_be_any_link_fixed_to_the_start_of_the_chain() {
     let from_root = load("fixed_pairs", &between("base", "tool")).unwrap();
     let from_mount = load("fixed_pairs", &between("a2", "tool")).unwrap();
     let q = [0.3, -0.4];
@@ -75,7 +75,7 @@ fn base_may_be_any_link_fixed_to_the_root_of_the_chain() {
     let want = common::isometry(&from_root.forward_kinematics(&q).unwrap());
     assert!((off.to_homogeneous() - want.to_homogeneous()).amax() < 1e-15);
 
-    // A fixed mount beside the chain, as on many industrial arms, and a base in the middle of the chain.
+    // A fixed link beside the chain, as on many industrial arms, and a base in the middle of the chain.
     let text = std::fs::read_to_string(data("robots/planar_2r.urdf")).unwrap();
     let mounted = text.replace(
         "</robot>",
@@ -98,7 +98,7 @@ fn base_may_be_any_link_fixed_to_the_root_of_the_chain() {
 }
 
 #[test]
-fn joints_beside_the_chain_rest_and_can_be_locked() {
+fn joints_beside_the_chain_are_locked() {
     let rests = robot("hobby_5dof");
     let jaw = rests.joints().iter().find(|j| j.name == "jaw").unwrap();
     assert_eq!((jaw.q_index, jaw.locked_at), (None, Some(0.2)), "0 is outside, the nearest limit is taken");
@@ -137,7 +137,7 @@ fn a_joint_of_the_chain_can_be_locked_too() {
 }
 
 #[test]
-fn limits_can_be_given_where_the_file_has_none() {
+fn limits_can_replace_those_of_the_file() {
     let text = std::fs::read_to_string(data("guards/01_no_limit.urdf")).unwrap();
     let options = ModelOptions { limits: BTreeMap::from([("j".into(), (-0.5, 1.5))]), ..ModelOptions::default() };
     let model = Model::from_urdf_str(&text, &options).unwrap();
@@ -159,7 +159,7 @@ fn limits_can_be_given_where_the_file_has_none() {
 }
 
 #[test]
-fn followers_share_their_leaders_column() {
+fn mimic_joints_share_the_column_of_their_driver() {
     let model = robot("mimics");
     assert_eq!(model.joint_names(), ["lead", "final"]);
     let quarter = model.joints().iter().find(|j| j.name == "quarter").unwrap();
@@ -175,20 +175,20 @@ fn followers_share_their_leaders_column() {
 }
 
 #[test]
-fn missing_masses_are_told_from_massless_links() {
+fn missing_masses_differ_from_massless_links() {
     let text = std::fs::read_to_string(data("robots/planar_2r.urdf")).unwrap();
     let start = text.rfind("<inertial>").unwrap();
     let end = text.rfind("</inertial>").unwrap() + "</inertial>".len();
     let without = format!("{}{}", &text[..start], &text[end..]);
     let model = Model::from_urdf_str(&without, &ModelOptions::default()).unwrap();
     assert_eq!(model.unknown_mass_joints(), [1]);
-    let held = ModelOptions { payload: Some(Payload { mass: 0.2, com: [0.0; 3] }), ..ModelOptions::default() };
-    assert!(Model::from_urdf_str(&without, &held).unwrap().unknown_mass_joints().is_empty());
+    let with_payload = ModelOptions { payload: Some(Payload { mass: 0.2, com: [0.0; 3] }), ..ModelOptions::default() };
+    assert!(Model::from_urdf_str(&without, &with_payload).unwrap().unknown_mass_joints().is_empty());
     assert!(robot("fixed_pairs").unknown_mass_joints().is_empty(), "two of its links have no inertial");
 }
 
 #[test]
-fn sizes_beyond_the_bound_are_refused_with_the_count() {
+fn too_many_joints_are_rejected_with_their_number() {
     let chain = |joints: usize| {
         let mut text = String::from("<robot name=\"r\"><link name=\"l0\"/>");
         for i in 1..=joints {
@@ -226,8 +226,8 @@ fn options_are_checked() {
 }
 
 #[test]
-fn quaternions_are_used_as_they_stand() {
-    // A pitch within 0.2° of 90°, where a conversion through roll, pitch and yaw would be inaccurate.
+fn quaternions_are_not_converted_to_angles() {
+    // A pitch within 0.2° of 90°, where a conversion to roll, pitch and yaw would be inaccurate.
     let half: f64 = (std::f64::consts::FRAC_PI_2 - 0.003) / 2.0;
     let text = std::fs::read_to_string(data("guards/14_quat_in_1_0.urdf")).unwrap();
     let text = text
@@ -239,7 +239,7 @@ fn quaternions_are_used_as_they_stand() {
 }
 
 #[test]
-fn what_a_robot_does_not_need_cannot_break_it() {
+fn unused_elements_cannot_make_a_file_invalid() {
     // A valid file with unknown elements, invalid visuals, comments, a byte-order mark, a default namespace and CRLF
     // line ends, but no XML declaration.
     let text = "\u{feff}<!-- made by hand --><robot name=\"r &amp; s\" version=\"1.2\">\r\n<material/><gazebo><a/></gazebo><?go now?>\

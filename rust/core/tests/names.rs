@@ -1,4 +1,4 @@
-//! Checks names of types, functions, modules and constants: no invented word where the field has a term.
+//! Checks the names of types, functions, modules and constants for words that are not terms of robotics or of Rust.
 //!
 //! Reads all Rust sources of the workspace. Test functions are exempt: their names are sentences.
 
@@ -60,7 +60,7 @@ fn defined(source: &str) -> Vec<String> {
             if !KEYWORDS.contains(&token) {
                 continue;
             }
-            // `const fn` and `const N: usize`: the last keyword counts.
+            // In `const fn name` and `const N: usize`, the name follows the last keyword.
             let Some(name) = tokens.find(|token| !KEYWORDS.contains(token) && *token != "unsafe") else { break };
             if !std::mem::take(&mut is_test) {
                 names.push(name.to_string());
@@ -91,7 +91,7 @@ fn names_are_terms_of_the_field() {
 }
 
 #[test]
-fn a_banned_word_is_found_in_every_definition() {
+fn banned_words_are_detected_in_every_definition() {
     for source in [
         "pub(crate) struct Wish<W> {",
         "enum KeptRow {",

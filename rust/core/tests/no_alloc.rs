@@ -25,40 +25,40 @@ mod seeded;
 
 use seeded::Random;
 
-/// Allocator that counts the calls of the current thread.
+/// Allocator that counts the calls by the current thread.
 struct Counting;
 
 thread_local! {
     static COUNT: Cell<usize> = const { Cell::new(0) };
 }
 
-fn note() {
-    // At the end of a thread its counter no longer exists, so the access may fail.
+fn count_call() {
+    // The access fails at the end of a thread, when its counter has been destroyed.
     let _ = COUNT.try_with(|count| count.set(count.get() + 1));
 }
 
 // SAFETY: every call is forwarded unchanged to the system's allocator; counting does not touch the allocated memory.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        note();
+        count_call();
         // SAFETY: the caller keeps the contract of `GlobalAlloc`, which is that of `System`.
         unsafe { System.alloc(layout) }
     }
 
     unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
-        note();
+        count_call();
         // SAFETY: the caller keeps the contract of `GlobalAlloc`, which is that of `System`.
         unsafe { System.alloc_zeroed(layout) }
     }
 
     unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
-        note();
+        count_call();
         // SAFETY: the caller keeps the contract of `GlobalAlloc`, which is that of `System`.
         unsafe { System.realloc(pointer, layout, size) }
     }
 
     unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        note();
+        count_call();
         // SAFETY: the caller keeps the contract of `GlobalAlloc`, which is that of `System`.
         unsafe { System.dealloc(pointer, layout) }
     }
@@ -83,7 +83,7 @@ fn the_counter_counts() {
     assert_eq!(calls(|| ()), 0);
 }
 
-/// Returns settings that together cover every branch of the step, with the index of the arm.
+/// Returns pairs of arm index and settings that together cover every branch of the step.
 fn variants() -> Vec<(usize, Settings)> {
     let mut all = Vec::new();
     let axis = |yields| Axis { yields: Some(yields), ..Axis::default() };
@@ -130,7 +130,7 @@ fn variants() -> Vec<(usize, Settings)> {
 }
 
 #[test]
-fn ten_thousand_steps_ask_for_nothing() {
+fn ten_thousand_steps_do_not_allocate() {
     let (mut steps, mut locked) = (0, 0);
     for (index, settings) in variants() {
         let model = seeded::arm(index, &ModelOptions::default());
@@ -167,7 +167,7 @@ fn ten_thousand_steps_ask_for_nothing() {
 }
 
 #[test]
-fn feeling_a_contact_asks_for_nothing_either() {
+fn contact_estimation_does_not_allocate() {
     let model = std::sync::Arc::new(
         pliant_core::Model::from_urdf_str(
             include_str!("../robots/arm7.urdf"),
@@ -282,7 +282,7 @@ fn laws_of_an_arm_do_not_allocate() {
 }
 
 #[test]
-fn a_row_with_caps_of_its_own_does_not_allocate() {
+fn a_batch_row_with_caps_does_not_allocate() {
     let mut settings = Settings::default();
     settings.axes[1] = Axis { soft: Some([4.0; 2]), ..Axis::default() };
     let model = seeded::arm(0, &ModelOptions::default());
@@ -306,5 +306,5 @@ fn a_row_with_caps_of_its_own_does_not_allocate() {
         step();
         calls(step)
     };
-    assert_eq!(of(1), of(64)); // those of a call, not of a row
+    assert_eq!(of(1), of(64)); // The number of allocations does not depend on the number of rows.
 }

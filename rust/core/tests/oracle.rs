@@ -1,4 +1,4 @@
-//! Compares the control step with the slow one of `oracle/`, over random settings, arms and sequences of ticks.
+//! Compares the control step with the reference implementation in `oracle/`, for random settings, arms and sequences.
 
 use std::cell::RefCell;
 use std::sync::Arc;
@@ -15,19 +15,19 @@ mod slow;
 
 use slow::{Oracle, Tick, Vector};
 
-/// Relative tolerance, with respect to the larger of the value and the scale of its vector.
+/// Tolerance relative to the largest entry of a vector.
 const TOLERANCE: f64 = 1e-9;
 
-/// Compares one tick. Later quantities depend on earlier ones, so the first difference shows the cause.
-struct Judge<'a> {
+/// Comparison of one tick, in the order of the computation, so that the first difference shows the cause.
+struct Comparison<'a> {
     case: String,
-    /// Factor on the tolerance: 1, but larger near singular rows, where rounding errors of `JJᵀ` grow by 1/σ².
+    /// Factor on the tolerance: larger than 1 near singular poses, where rounding errors of `JJᵀ` grow by 1/σ².
     slack: f64,
     /// Differences found in all ticks, as messages.
-    found: &'a RefCell<Vec<String>>,
+    differences: &'a RefCell<Vec<String>>,
 }
 
-impl Judge<'_> {
+impl Comparison<'_> {
     fn same(&self, what: &str, got: &[f64], want: &Vector) {
         self.to_scale(what, got, want, 1e-3);
     }
@@ -38,7 +38,7 @@ impl Judge<'_> {
         for (i, (g, w)) in got.iter().zip(want).enumerate() {
             let equal = g.to_bits() == w.to_bits() || (g - w).abs() <= self.slack * TOLERANCE * scale;
             if !equal {
-                self.found.borrow_mut().push(format!("{}: {what}[{i}] = {g}, by the text {w}", self.case));
+                self.differences.borrow_mut().push(format!("{}: {what}[{i}] = {g}, oracle: {w}", self.case));
                 return;
             }
         }
@@ -65,7 +65,7 @@ impl Judge<'_> {
         self.same("adapted e", &record.adapted_deviation[..k], &tick.adapted);
         self.same("w", &record.softness[..k], &tick.softness);
         self.same("c", &record.compliance[..k], &tick.compliance);
-        self.same("strength", &record.axis_strength[..k], &tick.most);
+        self.same("strength", &record.axis_strength[..k], &tick.max_strength);
         self.same("dx", &record.task_velocity[..k], &tick.dx);
         self.same("gradient", &record.gradient, &tick.gradient);
         self.same("g", &record.gravity, &tick.gravity);
@@ -79,9 +79,9 @@ impl Judge<'_> {
             )
         };
         self.same("locked", locked(&record.locked).as_slice(), &locked(&tick.locked));
-        let met: Vec<f64> = tick.met.iter().map(|&on| f64::from(u8::from(on))).collect();
+        let at_limit: Vec<f64> = tick.at_limit.iter().map(|&on| f64::from(u8::from(on))).collect();
         let got: Vec<f64> = record.deviation_limited[..k].iter().map(|&on| f64::from(u8::from(on))).collect();
-        self.same("deviation limited", &got, &Vector::from_vec(met));
+        self.same("deviation limited", &got, &Vector::from_vec(at_limit));
         let position = Vector::from_column_slice(&tick.reference.position);
         self.to_scale("reference", &record.reference.position, &position, 1.0);
         if controller.settings().law == Law::Impedance {
@@ -109,7 +109,7 @@ struct Observed {
 }
 
 /// Compares several ticks of one arm with one set of settings.
-fn sequence(index: usize, law: Law, seed: u64, observed: &mut Observed, found: &RefCell<Vec<String>>) {
+fn sequence(index: usize, law: Law, seed: u64, observed: &mut Observed, differences: &RefCell<Vec<String>>) {
     let mut random = Random::new(seed);
     let random = &mut random;
     let gravity = random.pick(&[[0.0, 0.0, -9.81], [2.0, -1.0, -9.0]]);
@@ -117,9 +117,9 @@ fn sequence(index: usize, law: Law, seed: u64, observed: &mut Observed, found: &
     let model = seeded::arm(index, &ModelOptions { gravity, payload, ..ModelOptions::default() });
     let n = model.n();
     let settings = cases::settings(random, &model, law);
-    let with_servos = !cases::free_of_kp(&settings) || random.chance(0.5);
+    let with_servos = !cases::works_without_kp(&settings) || random.chance(0.5);
     let servos = with_servos.then(|| cases::servos(random, &seeded::servos(index), n));
-    let settings = cases::tamed(&model, settings, servos.as_ref());
+    let settings = cases::accepted_settings(&model, settings, servos.as_ref());
     let at_limits = random.chance(0.5);
     let mut controller = Controller::new(Arc::clone(&model), settings.clone(), servos.clone()).unwrap();
     let DampingParams { lambda_0, sigma_0, lambda_max } = controller.singularity_damping();
@@ -154,13 +154,13 @@ fn sequence(index: usize, law: Law, seed: u64, observed: &mut Observed, found: &
         }
         let command = *controller.step(&q, &target, &input).unwrap();
         let want = oracle.step(&q, &target, &input, controller.sigma_range());
-        let judge = Judge {
+        let comparison = Comparison {
             case: format!("arm {index}, {law:?}, seed {seed}, tick {tick}"),
-            found,
+            differences,
             slack: (1e-2_f64 / want.sigma[0]).powi(2).clamp(1.0, 1e4),
         };
-        judge.tick(&controller, command.goal(), command.torque_limit(), &want);
-        if !found.borrow().is_empty() {
+        comparison.tick(&controller, command.goal(), command.torque_limit(), &want);
+        if !differences.borrow().is_empty() {
             return;
         }
         observed.ticks += 1;
@@ -169,7 +169,7 @@ fn sequence(index: usize, law: Law, seed: u64, observed: &mut Observed, found: &
         observed.slowed += usize::from(want.factors[0] < 1.0);
         observed.faded += usize::from(want.faded);
         observed.derated += usize::from(want.derating < 1.0);
-        observed.limited += usize::from(want.met.contains(&true));
+        observed.limited += usize::from(want.at_limit.contains(&true));
         observed.singular += usize::from(want.sigma[0] < 0.02);
         for i in 0..n {
             q[i] += 0.01 * speed[i] + random.between(-1e-3, 1e-3);
@@ -178,24 +178,23 @@ fn sequence(index: usize, law: Law, seed: u64, observed: &mut Observed, found: &
 }
 
 #[test]
-fn both_transcriptions_agree() {
+fn the_step_agrees_with_the_oracle() {
     for law in [Law::Cap, Law::Impedance, Law::Paper] {
         let mut observed = Observed::default();
         let mut wrong = Vec::new();
         for seed in 0..1440 {
-            let found = RefCell::new(Vec::new());
+            let differences = RefCell::new(Vec::new());
             sequence(
                 usize::try_from(seed % 3).unwrap(),
                 law,
                 seed * 7919 + u64::from(law == Law::Cap) + 2 * u64::from(law == Law::Impedance),
                 &mut observed,
-                &found,
+                &differences,
             );
-            wrong.extend(found.take().into_iter().next());
+            wrong.extend(differences.take().into_iter().next());
         }
         assert!(wrong.is_empty(), "{} sequences differ:\n{}", wrong.len(), wrong[..wrong.len().min(30)].join("\n"));
-        // The random sequences must include the difficult cases often enough; springs rarely exceed the bound on the
-        // stiffness.
+        // The random sequences must include each difficult case often enough. Law `impedance` has fewer of some.
         let slowed = if law == Law::Impedance { 30 } else { 80 };
         assert!(
             observed.locked > 300

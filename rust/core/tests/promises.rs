@@ -1,4 +1,4 @@
-//! Defaults derived from the arm, rejected settings, and the estimate of the smallest singular value.
+//! Tests of defaults derived from the arm, of rejected settings, and of the estimated smallest singular value.
 
 use std::sync::Arc;
 
@@ -63,7 +63,7 @@ fn smallest(model: &Model, q: &[f64], axes: &[usize], length: f64) -> f64 {
 }
 
 #[test]
-fn stiffness_is_refused_where_half_the_poses_would_ring() {
+fn stiffness_is_rejected_if_half_of_the_poses_would_oscillate() {
     let (_, servos) = arm(0);
     let delayed = |stiffness: f64| {
         let mut settings = Settings { law: Law::Impedance, delay: 0.02, ..Settings::default() };
@@ -85,23 +85,23 @@ fn stiffness_is_refused_where_half_the_poses_would_ring() {
     controller(Settings { accept_high_stiffness: true, ..delayed(2000.0) }).unwrap();
     // Default springs are not rejected but scaled down in each step.
     let defaults = Settings { law: Law::Impedance, delay: 0.02, rate: 50.0, ..Settings::default() };
-    let mut made = controller(defaults.clone()).unwrap();
-    assert_eq!(made.axis_impedances()[0], AxisImpedance { stiffness: [800.0; 2], damping: [0.0; 2] });
-    assert_eq!(made.axis_impedances()[5], AxisImpedance { stiffness: [20.0; 2], damping: [0.0; 2] });
+    let mut running = controller(defaults.clone()).unwrap();
+    assert_eq!(running.axis_impedances()[0], AxisImpedance { stiffness: [800.0; 2], damping: [0.0; 2] });
+    assert_eq!(running.axis_impedances()[5], AxisImpedance { stiffness: [20.0; 2], damping: [0.0; 2] });
     let q = [-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657];
     let tool = arm(0).0.forward_kinematics(&q).unwrap();
-    made.step(&q, &tool, &StepInput::default()).unwrap();
-    assert!((made.gain_factor() - 1.0 / 2.7).abs() < 0.02, "{}", made.gain_factor());
+    running.step(&q, &tool, &StepInput::default()).unwrap();
+    assert!((running.gain_factor() - 1.0 / 2.7).abs() < 0.02, "{}", running.gain_factor());
     let message = refusal(
         Settings { null_space: NullSpace { stiffness: Some(100.0), ..defaults.null_space }, ..defaults },
         servos.clone(),
     );
     assert!(message.starts_with("null_space.stiffness [N·m/rad] = 100 is outside [0, 60.000]"), "{message}");
     let mut damped = Settings { law: Law::Impedance, delay: 0.02, ..Settings::default() };
-    for (stiffness, taken) in [(40.0, true), (60.0, false)] {
+    for (stiffness, accepted) in [(40.0, true), (60.0, false)] {
         damped.set_axes("xyz", Axis { damping: Some([stiffness; 2]), ..Axis::default() }).unwrap();
         damped.set_axes("rpy", Axis { damping: Some([0.0375 * stiffness; 2]), ..Axis::default() }).unwrap();
-        assert_eq!(controller(damped.clone()).is_ok(), taken, "{stiffness}");
+        assert_eq!(controller(damped.clone()).is_ok(), accepted, "{stiffness}");
     }
     let message = refusal(damped, servos.clone());
     let given = "x=60 N·s/m, y=60 N·s/m, z=60 N·s/m, roll=2.25 N·m·s/rad, pitch=2.25 N·m·s/rad, yaw=2.25 N·m·s/rad";
@@ -116,7 +116,7 @@ fn stiffness_is_refused_where_half_the_poses_would_ring() {
 }
 
 #[test]
-fn springs_belong_to_law_impedance() {
+fn springs_are_rejected_under_other_laws() {
     let (_, servos) = arm(0);
     let message = |settings: Settings| refusal(settings, servos.clone());
     let text = message(yielding("y", Axis { stiffness: Some([100.0; 2]), ..Axis::default() }));
@@ -141,7 +141,7 @@ fn springs_belong_to_law_impedance() {
 }
 
 #[test]
-fn arm7_has_its_printed_defaults() {
+fn arm7_has_its_documented_defaults() {
     let controller = controller(Settings::default()).unwrap();
     for (axis, AxisStrength { soft, firm, hold }) in controller.axis_strengths().into_iter().enumerate() {
         let expected = if axis < 3 { [4.0, 15.0, 40.0] } else { [0.8, 1.5, 4.0] };
@@ -175,7 +175,7 @@ fn damping_is_twice_the_median_over_512_poses() {
 }
 
 #[test]
-fn the_small_arm_has_strengths_of_its_own_size() {
+fn default_strengths_scale_with_the_arm() {
     let (model, servos) = arm(2);
     let settings = Settings { task: Task::parse("xyz").unwrap(), ..Settings::default() };
     let controller = Controller::new(model, settings, Some(servos)).unwrap();
@@ -186,7 +186,7 @@ fn the_small_arm_has_strengths_of_its_own_size() {
 }
 
 #[test]
-fn eta_beyond_095_needs_k_p_known_a_captured_gravity_or_a_name() {
+fn eta_above_095_requires_known_k_p_captured_gravity_or_consent() {
     let bold = || yielding("y", Axis { soft: Some([2.0; 2]), adaptation: 0.96, ..Axis::default() });
     let unsure = Servos { stiffness_known: false, ..seeded::servos(0) };
     let message = refusal(bold(), unsure.clone());
@@ -200,7 +200,7 @@ fn eta_beyond_095_needs_k_p_known_a_captured_gravity_or_a_name() {
     make(yielding("y", Axis { soft: Some([2.0; 2]), adaptation: 0.95, ..Axis::default() })).unwrap();
     let paper = |settings: Settings| Settings { law: Law::Paper, ..settings };
     make(paper(bold())).unwrap();
-    // The gravity offset is captured at run time; the settings that need it are accepted afterwards.
+    // Once the gravity offset has been captured, settings that require it are accepted.
     let mut running = make(Settings::default()).unwrap();
     assert!(running.update(bold()).is_err());
     let q = [-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657];
@@ -243,7 +243,7 @@ fn the_gain_is_bounded_by_the_delay() {
         ..Settings::default()
     };
     Controller::new(model, stiff, Some(servos)).unwrap();
-    // A delay that is set later reduces the gain instead of raising an error.
+    // A measured delay reduces the gain instead of raising an error.
     let mut running = with(Gain::Scalar(8.0), 0.0, 100.0).unwrap();
     running.set_delay(0.025).unwrap();
     assert!((running.gain_factor() - 0.5).abs() < 1e-12);
@@ -259,7 +259,7 @@ fn the_gain_is_bounded_by_the_delay() {
 }
 
 #[test]
-fn more_axes_than_joints_need_a_length_and_it_weighs() {
+fn more_axes_than_joints_require_a_length_that_weights_them() {
     let (model, servos) = arm(2);
     let make = |length, damping| {
         let task = Task { length, ..Task::default() };
@@ -280,8 +280,8 @@ fn more_axes_than_joints_need_a_length_and_it_weighs() {
         pose
     };
     for damping in [Damping::Auto, Damping::Fixed(0.02)] {
-        // A larger length gives a metre less weight, so the position error is larger.
-        let left = |length: f64| {
+        // With a larger length, translations have less weight, so the position error is larger.
+        let position_error = |length: f64| {
             let mut controller = make(Some(length), damping).unwrap();
             let command = *controller.step(&q, &target, &StepInput::default()).unwrap();
             assert!(controller.sigma_range()[0] > 1e-3, "the smallest of the five");
@@ -290,13 +290,13 @@ fn more_axes_than_joints_need_a_length_and_it_weighs() {
             let lead: Vec<f64> = (0..5).map(|i| command.goal()[i] - q[i] - gravity[i] / 5.1).collect();
             (0.02 - (0..5).map(|i| rows[(1, i)] * lead[i]).sum::<f64>()).abs()
         };
-        let (near, far) = (left(0.1), left(1.0));
+        let (near, far) = (position_error(0.1), position_error(1.0));
         assert!(near < 0.7 * far, "{damping:?}: {near} {far}");
     }
 }
 
 #[test]
-fn axes_that_an_arm_cannot_move_apart_are_refused() {
+fn axes_that_an_arm_cannot_move_independently_are_rejected() {
     let (model, servos) = arm(2);
     let settings = Settings { task: Task::parse("xyz pitch yaw").unwrap(), ..Settings::default() };
     match Controller::new(model, settings, Some(servos)) {
@@ -306,7 +306,7 @@ fn axes_that_an_arm_cannot_move_apart_are_refused() {
 }
 
 #[test]
-fn a_law_of_forces_needs_k_p() {
+fn laws_with_forces_require_k_p() {
     let (model, _) = arm(0);
     let message = Controller::new(Arc::clone(&model), Settings::default(), None).unwrap_err().to_string();
     assert!(message.contains("shoulder_pitch") && message.contains("Servos("), "{message}");
@@ -339,14 +339,14 @@ fn worst_estimate(index: usize, axes: &str, path: impl Fn(f64) -> Vec<f64>, tick
 }
 
 #[test]
-fn sigma_follows_smooth_motions() {
+fn sigma_tracks_smooth_motions() {
     let mut random = Random::new(11);
     let (mut worst, mut errors) = ((0.0_f64, 0.0_f64), Vec::new());
     for round in 0..60 {
         let index = round % 3;
         let (model, _) = arm(index);
         let (from, to) = (random.joints(&model, 0.95), random.joints(&model, 0.95));
-        // The path takes 1.5 s between two postures anywhere in the joint ranges: joint speeds up to 3 rad/s.
+        // The path between two arbitrary postures takes 1.5 s, with joint speeds up to 3 rad/s.
         let path = |t: f64| (0..model.n()).map(|i| from[i] + (to[i] - from[i]) * t).collect();
         let (relative, absolute) = worst_estimate(index, if index == 2 { "xyz" } else { "all" }, path, 150);
         worst = (worst.0.max(relative), worst.1.max(absolute));
@@ -357,7 +357,7 @@ fn sigma_follows_smooth_motions() {
 }
 
 #[test]
-fn sigma_is_right_at_once_after_a_reset() {
+fn sigma_is_exact_right_after_a_reset() {
     let mut random = Random::new(12);
     for round in 0..150 {
         let index = round % 3;
@@ -373,8 +373,8 @@ fn sigma_is_right_at_once_after_a_reset() {
 }
 
 #[test]
-fn sigma_finds_the_other_block_of_a_planar_arm() {
-    // With all roll and yaw joints at 0, `JJᵀ` consists of two blocks, and a vector in one block has no part in the
+fn sigma_finds_both_blocks_of_a_planar_arm() {
+    // With all roll and yaw joints at 0, `JJᵀ` has two blocks. Iteration from a vector in one block never reaches the
     // other.
     for (from, to) in [(-1.9, -0.02), (-0.02, -1.9)] {
         for wrist in [0.0, 0.7, 1.5] {

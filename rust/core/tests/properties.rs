@@ -1,4 +1,4 @@
-//! Properties that hold for every pose and target: activation, projector, inverse, signs, gradients.
+//! Properties of activation, projector, inverse, signs and gradients that hold for every pose and target.
 
 use std::sync::Arc;
 
@@ -41,7 +41,7 @@ fn make(index: usize, settings: Settings) -> Controller {
     Controller::new(arm(index), settings, Some(seeded::servos(index))).unwrap()
 }
 
-/// Returns postures all over the joint ranges, some nearly and some exactly singular.
+/// Returns random postures in the joint ranges, some nearly and some exactly singular.
 fn poses(model: &Model, count: usize, seed: u64) -> Vec<Vec<f64>> {
     let mut random = Random::new(seed);
     (0..count)
@@ -55,7 +55,7 @@ fn poses(model: &Model, count: usize, seed: u64) -> Vec<Vec<f64>> {
 }
 
 #[test]
-fn activation_is_a_distribution() {
+fn columns_of_the_activation_sum_to_one_in_the_step() {
     for axes in ["all", "xyz", "y yaw"] {
         let mut controller = make(
             0,
@@ -75,7 +75,7 @@ fn activation_is_a_distribution() {
             for column in a.column_iter() {
                 assert!((column.sum() - 1.0).abs() < 1e-12, "{axes}: {}", column.sum());
             }
-            // (11) distributes the budgets over the joints: their sum is preserved.
+            // Equation (11) of the paper distributes the budgets over the joints and preserves their sum.
             let record = controller.diagnostics();
             let budget: f64 = record.axis_strength.iter().take(controller.task_dim()).sum::<f64>() + 2.0;
             let ceiling = [10.7, 10.7, 10.7, 10.7, 6.4, 6.4, 6.4];
@@ -223,7 +223,7 @@ fn sides_are_named_by_the_push() {
 
 /// A spring pulls toward the target, a damper dissipates energy, and neither exceeds the cap, in any pose.
 #[test]
-fn springs_pull_home_and_dampers_take_energy() {
+fn springs_pull_to_the_target_and_dampers_dissipate() {
     let model = arm(0);
     let mut random = Random::new(12);
     let (mut derated, mut capped) = (0, 0);
@@ -267,7 +267,7 @@ fn springs_pull_home_and_dampers_take_energy() {
         let rho = (&root * &j * compliance * j.transpose() * root).symmetric_eigenvalues().max();
         assert!(rho <= 3.0 * (1.0 + 1e-9), "{rho}");
         derated += usize::from(controller.gain_factor() < 1.0);
-        // A delay that is set later takes effect at the next step.
+        // A measured delay takes effect at the next step.
         let relaxed = controller.gain_factor();
         controller.set_delay(0.1).unwrap();
         controller.reset(&q).unwrap();

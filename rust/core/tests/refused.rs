@@ -27,7 +27,7 @@ fn servos() -> Servos {
     Servos::new(vec![150.0], vec![10.7])
 }
 
-fn made(settings: Settings, servos: Servos) -> pliant_core::Result<Controller> {
+fn controller_with(settings: Settings, servos: Servos) -> pliant_core::Result<Controller> {
     Controller::new(Arc::new(common::arm7()), settings, Some(servos))
 }
 
@@ -36,33 +36,33 @@ fn message<T>(result: pliant_core::Result<T>) -> String {
 }
 
 #[test]
-fn what_has_no_bound_still_steps_toward_a_target_that_jumps() {
-    let endless = f64::INFINITY;
+fn infinite_bounds_give_finite_commands_for_a_jumping_target() {
+    let infinite = f64::INFINITY;
     let all = vec![
-        Settings { max_tool_speed: [endless; 2], ..Settings::default() },
-        Settings { max_tool_acceleration: [endless; 2], ..Settings::default() },
-        Settings { max_tool_speed: [0.1, endless], max_tool_acceleration: [endless, 1.0], ..Settings::default() },
-        Settings { tracking: Tracking { goal_slew: endless, ..Tracking::default() }, ..Settings::default() },
-        Settings { null_space: NullSpace { max_speed: endless, ..NullSpace::default() }, ..Settings::default() },
+        Settings { max_tool_speed: [infinite; 2], ..Settings::default() },
+        Settings { max_tool_acceleration: [infinite; 2], ..Settings::default() },
+        Settings { max_tool_speed: [0.1, infinite], max_tool_acceleration: [infinite, 1.0], ..Settings::default() },
+        Settings { tracking: Tracking { goal_slew: infinite, ..Tracking::default() }, ..Settings::default() },
+        Settings { null_space: NullSpace { max_speed: infinite, ..NullSpace::default() }, ..Settings::default() },
         Settings {
-            torque_limits: TorqueLimits { max_host_loss_force: Some(endless), ..TorqueLimits::default() },
+            torque_limits: TorqueLimits { max_host_loss_force: Some(infinite), ..TorqueLimits::default() },
             ..Settings::default()
         },
         Settings {
-            tracking: Tracking { joint_speed: Some(vec![endless; 7]), ..Tracking::default() },
+            tracking: Tracking { joint_speed: Some(vec![infinite; 7]), ..Tracking::default() },
             ..Settings::default()
         },
         Settings {
-            torque_limits: TorqueLimits { floor: Some(vec![endless; 7]), ..TorqueLimits::default() },
+            torque_limits: TorqueLimits { floor: Some(vec![infinite; 7]), ..TorqueLimits::default() },
             ..Settings::default()
         },
         Settings {
-            paper_options: PaperOptions { lead_limit: Some(endless), ..Settings::paper().paper_options },
+            paper_options: PaperOptions { lead_limit: Some(infinite), ..Settings::paper().paper_options },
             ..Settings::paper()
         },
     ];
     for settings in all {
-        let mut controller = made(settings.clone(), servos()).unwrap();
+        let mut controller = controller_with(settings.clone(), servos()).unwrap();
         let mut target = controller.model().forward_kinematics(&GRASP).unwrap();
         for shift in [0.0, 0.1, -0.2, 0.0] {
             target.position[1] += shift;
@@ -74,7 +74,7 @@ fn what_has_no_bound_still_steps_toward_a_target_that_jumps() {
 }
 
 #[test]
-fn an_axis_along_which_no_joint_moves_the_tool_takes_no_torque() {
+fn an_axis_that_no_joint_moves_gets_no_torque() {
     let model = Arc::new(Model::from_urdf_str(PLANAR, &ModelOptions::default()).unwrap());
     let target = model.forward_kinematics(&[0.3, 0.5]).unwrap();
     let limits = |hold: f64| {
@@ -91,7 +91,7 @@ fn an_axis_along_which_no_joint_moves_the_tool_takes_no_torque() {
 }
 
 #[test]
-fn numbers_that_no_step_could_use_are_refused_by_name() {
+fn unusable_numbers_are_rejected_by_name() {
     let cases = [
         (
             "paper_options.posture_weights",
@@ -112,7 +112,7 @@ fn numbers_that_no_step_could_use_are_refused_by_name() {
         ),
     ];
     for (name, settings) in cases {
-        assert!(message(made(settings, servos())).starts_with(name));
+        assert!(message(controller_with(settings, servos())).starts_with(name));
     }
     let cases = [
         ("servos.kp[0]", Servos { kp: vec![1e-308], ..servos() }),
@@ -120,19 +120,19 @@ fn numbers_that_no_step_could_use_are_refused_by_name() {
         ("servos.stribeck_speed[0]", Servos { stribeck: vec![0.1], stribeck_speed: vec![1e-320], ..servos() }),
     ];
     for (name, servos) in cases {
-        assert!(message(made(Settings::default(), servos)).starts_with(name));
+        assert!(message(controller_with(Settings::default(), servos)).starts_with(name));
     }
 }
 
 #[test]
-fn servos_that_cannot_hold_the_arm_are_refused_wherever_its_weight_comes_into_use() {
+fn weak_servos_are_rejected_once_gravity_is_compensated() {
     let weak = Servos::new(vec![150.0], vec![0.5]);
     let strength = Axis { soft: Some([0.1; 2]), firm: Some([0.1; 2]), hold: Some(0.2), ..Axis::default() };
     let on = Settings { axes: std::array::from_fn(|_| strength), ..Settings::default() };
-    let off = Settings { gravity: false, ..on.clone() };
-    let refusal = message(made(on.clone(), weak.clone()));
+    let error = Settings { gravity: false, ..on.clone() };
+    let refusal = message(controller_with(on.clone(), weak.clone()));
     assert!(refusal.contains("torque that holds the arm"), "{refusal}");
-    let mut controller = made(off, weak).unwrap();
+    let mut controller = controller_with(error, weak).unwrap();
     controller.set_payload(Some(&Payload { mass: 0.1, com: [0.0; 3] })).unwrap();
     controller.set_payload(None).unwrap();
     assert!(message(controller.update(on)).contains("torque that holds the arm"));
@@ -140,31 +140,31 @@ fn servos_that_cannot_hold_the_arm_are_refused_wherever_its_weight_comes_into_us
 }
 
 #[test]
-fn a_joint_that_carries_less_than_an_encoder_count_hides_keeps_its_believed_stiffness() {
-    let believed = Servos { encoder_step: vec![1.5e-3], ..servos() };
-    let mut controller = made(Settings::default(), believed).unwrap();
+fn a_lightly_loaded_joint_keeps_its_configured_stiffness() {
+    let configured = Servos { encoder_step: vec![1.5e-3], ..servos() };
+    let mut controller = controller_with(Settings::default(), configured).unwrap();
     let gravity = controller.model().gravity(&GRASP).unwrap();
-    // The goals are off by half an encoder count, for joints with little and with much load.
+    // All goals are off by half an encoder count; some joints carry a small load, others a large one.
     let goal: Vec<f64> = (0..7).map(|i| GRASP[i] + gravity[i] / 150.0 + 7.5e-4).collect();
     let captured = controller.capture_gravity(&GRASP, &goal).unwrap();
-    let mut kept = 0;
+    let mut unchanged = 0;
     for i in 0..7 {
-        let off = (captured[i] / 150.0 - 1.0).abs();
-        assert!(off < 0.2, "joint {i} carries {}: {}", gravity[i], captured[i]);
-        kept += usize::from(off < 1e-12);
+        let error = (captured[i] / 150.0 - 1.0).abs();
+        assert!(error < 0.2, "joint {i} carries {}: {}", gravity[i], captured[i]);
+        unchanged += usize::from(error < 1e-12);
     }
-    assert!((1..7).contains(&kept));
+    assert!((1..7).contains(&unchanged));
 }
 
 #[test]
-fn a_path_without_postures_is_no_path() {
-    let controller = made(Settings::default(), servos()).unwrap();
+fn an_empty_path_is_rejected() {
+    let controller = controller_with(Settings::default(), servos()).unwrap();
     assert!(matches!(check_path(&controller, &[]), Err(Error::Shape { .. })));
 }
 
 #[test]
 fn there_is_no_last_command_before_a_step() {
-    let mut controller = made(Settings::default(), servos()).unwrap();
+    let mut controller = controller_with(Settings::default(), servos()).unwrap();
     assert!(controller.last_command().is_none());
     let target = controller.model().forward_kinematics(&GRASP).unwrap();
     let sent = *controller.step(&GRASP, &target, &StepInput::default()).unwrap();
@@ -174,9 +174,10 @@ fn there_is_no_last_command_before_a_step() {
 }
 
 #[test]
-fn a_contact_is_not_asked_about_another_arm() {
+fn a_contact_estimator_rejects_the_controller_of_another_arm() {
     let mut contact =
-        ContactEstimator::new(&made(Settings::default(), servos()).unwrap(), ContactOptions::default()).unwrap();
+        ContactEstimator::new(&controller_with(Settings::default(), servos()).unwrap(), ContactOptions::default())
+            .unwrap();
     let model = Arc::new(Model::from_urdf_str(PLANAR, &ModelOptions::default()).unwrap());
     let settings = Settings { law: Law::Cap, task: Task::parse("xy").unwrap(), ..Settings::default() };
     let other = Controller::new(model, settings, Some(servos())).unwrap();
@@ -185,8 +186,8 @@ fn a_contact_is_not_asked_about_another_arm() {
 }
 
 #[test]
-fn positions_say_nothing_of_rotations() {
-    let controller = made(Settings::default(), servos()).unwrap();
+fn positions_are_rejected_as_targets_of_a_task_with_rotations() {
+    let controller = controller_with(Settings::default(), servos()).unwrap();
     let target = controller.model().forward_kinematics(&GRASP).unwrap();
     let [mut goal, mut torque_limit, mut velocity] = [[0.0; 7]; 3];
     let input = BatchInput::new(&GRASP, Targets::Positions(&target.position));

@@ -1,4 +1,4 @@
-//! The pose report: its forces against a search, its signs, and the proposals of a feasibility check.
+//! Tests of the pose report (forces compared with a search, signs) and of the proposals of a feasibility check.
 
 use std::sync::Arc;
 
@@ -34,8 +34,9 @@ fn soft(axes: &str, soft: f64, firm: f64) -> Settings {
     settings
 }
 
-/// Returns the largest F ≥ 0 for which torques within the limits balance gravity and a push F d, by bisection.
-fn searched(model: &Model, q: &[f64], limit: &[f64], axis: usize, sign: f64) -> f64 {
+/// Returns the largest force F ≥ 0 along an axis at which torques within the limits balance gravity and the push, by
+/// bisection.
+fn bisected_force(model: &Model, q: &[f64], limit: &[f64], axis: usize, sign: f64) -> f64 {
     let (jacobian, gravity) = (model.jacobian(q, Reference::WorldAligned).unwrap(), model.gravity(q).unwrap());
     let holds = |force: f64| {
         (0..model.n()).all(|i| (gravity[i] - sign * force * jacobian[(axis, i)]).abs() <= limit[i] * (1.0 + 1e-12))
@@ -50,7 +51,7 @@ fn searched(model: &Model, q: &[f64], limit: &[f64], axis: usize, sign: f64) -> 
 }
 
 #[test]
-fn static_force_and_capacity_are_what_a_search_finds() {
+fn static_force_and_capacity_agree_with_a_search() {
     for settings in [
         soft("y yaw", 4.0, 15.0),
         Settings {
@@ -65,12 +66,12 @@ fn static_force_and_capacity_are_what_a_search_finds() {
             let report = report_at(&controller, &q).unwrap();
             for axis in 0..6 {
                 for (side, sign) in [-1.0, 1.0].into_iter().enumerate() {
-                    for (said, limit) in [
+                    for (reported, limit) in [
                         (report.axes[axis].static_force[side], &report.torque_limit),
                         (report.axes[axis].capacity[side], &torque),
                     ] {
-                        let found = searched(controller.model(), &q, limit, axis, sign);
-                        common::close("force", said, found, 1e-6 * (1.0 + found));
+                        let found = bisected_force(controller.model(), &q, limit, axis, sign);
+                        common::close("force", reported, found, 1e-6 * (1.0 + found));
                     }
                     assert!(report.axes[axis].capacity[side] >= report.axes[axis].static_force[side]);
                     assert!(report.axes[axis].yield_force[side][1] <= report.axes[axis].capacity[side] + 1e-12);
@@ -96,26 +97,27 @@ fn lever() -> Controller {
     Controller::new(model, settings, Some(servos)).unwrap()
 }
 
-/// Returns the force along y [N] at which the joint slips under a torque limit [N·m], with the tool at `y` [m].
-fn slips(limit: f64, y: f64) -> f64 {
+/// Returns the force along y [N] at which the joint of `lever` slips with this torque limit [N·m], with the tool at `y`
+/// [m].
+fn slip_force(limit: f64, y: f64) -> f64 {
     let lever = (0.25 - y * y).sqrt();
     (limit + 0.2) / lever + 0.5 * 0.025 / (lever * lever)
 }
 
-/// Pushed along y, the joint slips at torque limit plus friction, while the lever arm of the push shrinks on the way.
+/// The joint slips at torque limit plus friction. The lever of a push along y decreases along the path.
 #[test]
-fn a_dead_joint_slips_at_its_limit() {
+fn after_a_host_loss_a_joint_slips_at_its_limit() {
     let report = report_at(&lever(), &[0.0]).unwrap();
-    let by_hand = slips(report.torque_limit[0], 0.15);
+    let expected = slip_force(report.torque_limit[0], 0.15);
     for side in 0..2 {
-        common::close("felt", report.axes[0].host_loss_force[side], by_hand, 0.02 * by_hand);
+        common::close("host-loss force", report.axes[0].host_loss_force[side], expected, 0.02 * expected);
     }
 }
 
-/// The arm is held at 0 rad with its goal ahead, and released when the host is lost: the push begins where friction
-/// stops the joint.
+/// A hand holds the arm at 0 rad with its goal ahead, and releases it at the host loss. The push starts where friction
+/// then stops the joint.
 #[test]
-fn a_hand_meets_a_dead_arm_where_that_has_come_to_rest() {
+fn after_a_host_loss_the_push_starts_at_the_equilibrium() {
     let mut controller = lever();
     let target = controller.model().forward_kinematics(&[0.25]).unwrap();
     for _ in 0..200 {
@@ -124,9 +126,9 @@ fn a_hand_meets_a_dead_arm_where_that_has_come_to_rest() {
     let (goal, report) = (controller.last_command().unwrap().goal()[0], report(&controller).unwrap());
     let rest = 0.5 * (goal - 0.2 / 100.0).sin();
     assert!(goal > 0.04 && rest > 0.02);
-    let by_hand = slips(report.torque_limit[0], rest + 0.15);
-    common::close("felt", report.axes[0].host_loss_force[1], by_hand, 0.01 * by_hand);
-    assert!(slips(report.torque_limit[0], 0.15) < 0.98 * by_hand, "it tells the two apart");
+    let expected = slip_force(report.torque_limit[0], rest + 0.15);
+    common::close("host-loss force", report.axes[0].host_loss_force[1], expected, 0.01 * expected);
+    assert!(slip_force(report.torque_limit[0], 0.15) < 0.98 * expected, "a push from 0 rad would need less force");
 }
 
 #[test]
@@ -140,7 +142,7 @@ fn sides_are_named_by_the_push() {
         common::close("small", sided.axes[1].yield_force[side][0], small, 1e-12);
         common::close("large", sided.axes[1].yield_force[side][1], large, 1e-12);
     }
-    // The arm reaches forward, so gravity leaves less torque against a push down than against one up.
+    // The arm is stretched forward, so gravity leaves less torque against a push down than against a push up.
     assert!(report.axes[2].capacity[0] < report.axes[2].capacity[1]);
     for i in 0..7 {
         let gravity = arm().gravity(&GRASP).unwrap()[i];
@@ -163,7 +165,7 @@ fn target_adaptation_moves_the_thresholds_and_lowers_the_force_within_reach() {
 }
 
 #[test]
-fn the_last_step_and_the_same_pose_at_rest_agree_and_nothing_is_touched() {
+fn reports_of_the_last_step_and_at_rest_agree_and_change_nothing() {
     let mut one = controller(soft("y", 4.0, 15.0));
     assert!(report(&one).unwrap_err().to_string().contains("no step"));
     let mut two = one.clone();
@@ -185,7 +187,7 @@ fn the_last_step_and_the_same_pose_at_rest_agree_and_nothing_is_touched() {
 }
 
 #[test]
-fn an_arm_that_cannot_hold_itself_says_so() {
+fn the_report_says_that_an_arm_cannot_hold_itself() {
     let options = ModelOptions {
         payload: Some(Payload { mass: 3.0, com: [0.0; 3] }),
         tip: Some("tool".into()),
@@ -202,7 +204,7 @@ fn an_arm_that_cannot_hold_itself_says_so() {
 }
 
 #[test]
-fn the_paper_without_gravity_in_its_limits_is_told_to_put_it_there() {
+fn the_check_proposes_gravity_for_law_paper() {
     let mut settings = Settings::paper();
     settings.set_axes("all", Axis { hold: Some(1.0), ..Axis::default() }).unwrap();
     let check = check_path(&controller(settings.clone()), &[GRASP.to_vec()]).unwrap();
@@ -227,7 +229,7 @@ fn coupling_names_the_axis_that_shares_the_joints() {
 }
 
 #[test]
-fn what_a_check_proposes_works_and_a_little_more_does_not() {
+fn values_proposed_by_a_check_work_and_larger_ones_do_not() {
     let path: Vec<Vec<f64>> = (0..20).map(|k| GRASP.iter().map(|q| q + 0.01 * f64::from(k)).collect()).collect();
     let mut settings = soft("y", 0.05, 60.0);
     settings.set_axes("z", Axis { hold: Some(90.0), ..Axis::default() }).unwrap();
@@ -251,7 +253,7 @@ fn what_a_check_proposes_works_and_a_little_more_does_not() {
 }
 
 #[test]
-fn a_target_that_cannot_be_reached_is_not_achievable() {
+fn a_target_out_of_reach_is_not_achievable() {
     let controller = controller(Settings::default());
     let mut target = controller.model().forward_kinematics(&GRASP).unwrap();
     assert!(check_pose(&controller, &target, &GRASP).unwrap().achievable);
@@ -268,19 +270,19 @@ fn tracking_raises_soft_to_three_times_the_friction_and_no_more() {
     let (model, servos, path) = (arm(), servos(), [GRASP.to_vec()]);
     let settings = soft("y", 0.01, 0.02);
     let raised = raise_soft(&settings, &model, Some(&servos), &path).unwrap();
-    let rubs = report_at(&controller(settings.clone()), &GRASP).unwrap().axes[1].friction;
+    let friction = report_at(&controller(settings.clone()), &GRASP).unwrap().axes[1].friction;
     let [soft, _] = raised.axes[1].soft.unwrap();
-    assert!(soft >= 3.0 * rubs && soft < 3.3 * rubs && raised.axes[1].firm.unwrap()[0] >= soft);
+    assert!(soft >= 3.0 * friction && soft < 3.3 * friction && raised.axes[1].firm.unwrap()[0] >= soft);
     let check = check_path(&Controller::new(arm(), raised.clone(), Some(servos.clone())).unwrap(), &path).unwrap();
     assert!(check.achievable, "{check}");
-    // Settings that are already firm enough do not change, with a path or over the whole joint space.
+    // Settings whose `soft` is large enough do not change, neither on a path nor over the joint space.
     assert_eq!(raise_soft(&raised, &model, Some(&servos), &path).unwrap(), raised);
     let firm = self::soft("y", 9.0, 15.0);
     assert_eq!(raise_soft(&firm, &model, Some(&servos), &[]).unwrap(), firm);
 }
 
 #[test]
-fn fewer_axes_and_other_frames() {
+fn reports_support_fewer_axes_and_other_frames() {
     let mut settings = soft("y", 4.0, 15.0);
     settings.task = Task { frame: pliant_core::params::Frame::Tool, ..Task::parse("y z").unwrap() };
     let controller = controller(settings);
@@ -290,11 +292,11 @@ fn fewer_axes_and_other_frames() {
         let (pose, jacobian) = controller.model().kinematics(&q, Reference::Local).unwrap();
         let gravity = controller.model().gravity(&q).unwrap();
         assert!(pose.position[0].is_finite() && report.axes.iter().map(|axis| axis.name).eq(["y", "z"]));
-        let by_hand = (0..7)
+        let expected = (0..7)
             .filter(|&i| jacobian[(1, i)].abs() > 1e-9)
             .map(|i| (report.torque_limit[i] + jacobian[(1, i)].signum() * gravity[i]) / jacobian[(1, i)].abs())
             .fold(f64::INFINITY, f64::min);
-        common::close("tool's y", report.axes[0].static_force[1], by_hand, 1e-9 * (1.0 + by_hand.abs()));
+        common::close("tool's y", report.axes[0].static_force[1], expected, 1e-9 * (1.0 + expected.abs()));
         assert!(report.axes.iter().flat_map(|axis| axis.host_loss_force).all(f64::is_finite));
     }
 }

@@ -1,4 +1,4 @@
-//! Tests with third-party robots, if their folder lies beside the repository; otherwise they pass without a check.
+//! Tests with third-party robots. Without their folder beside the repository, they pass without a check.
 
 use std::path::PathBuf;
 
@@ -77,7 +77,7 @@ fn xarm7() {
 }
 
 #[test]
-fn a_robot_without_limits_is_refused_by_name() {
+fn a_robot_without_limits_is_rejected_by_name() {
     let Some(folder) = folder() else { return };
     let path = folder.join("bad_iiwa14_nolimits/kuka_iiwa_robot.urdf");
     let error = Model::from_urdf_file(&path, &ModelOptions::default()).unwrap_err().to_string();

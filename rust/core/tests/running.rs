@@ -1,4 +1,4 @@
-//! Changes while the controller runs: settings, payload, gravity, delay, captured gravity offset, integrating goal.
+//! Tests of changes while the controller runs: settings, payload, gravity, delay, captured gravity offset, integration.
 
 use std::sync::Arc;
 
@@ -28,12 +28,13 @@ fn make(settings: Settings) -> (Arc<Model>, Controller, Pose) {
 }
 
 fn largest_difference(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).fold(0.0, |most, (x, y)| most.max((x - y).abs()))
+    a.iter().zip(b).fold(0.0, |max, (x, y)| max.max((x - y).abs()))
 }
 
-/// A straight arm cannot move along itself. A reference that moves that way must not take the torque of the other axis.
+/// A straight arm cannot move along its own direction. A reference that moves in this direction must not use up the
+/// torque of the other axis.
 #[test]
-fn a_reference_along_a_straight_arm_leaves_the_other_axis_its_torque() {
+fn a_reference_along_a_straight_arm_does_not_take_torque_from_the_other_axis() {
     let urdf = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data/robots/planar_2r.urdf");
     let options = ModelOptions { tip: Some("tool".into()), ..ModelOptions::default() };
     let model = Arc::new(Model::from_urdf_file(urdf, &options).unwrap());
@@ -64,20 +65,21 @@ fn a_reference_along_a_straight_arm_leaves_the_other_axis_its_torque() {
 }
 
 #[test]
-fn the_slew_starts_at_reset_and_the_first_limit_is_not_slewed() {
+fn goals_are_rate_limited_from_reset_and_the_first_limit_is_not() {
     let (_, mut controller, target) = make(Settings::default());
     let goal_and_limit = |controller: &mut Controller| {
         let command = *controller.step(&Q, &target, &StepInput::default()).unwrap();
         (command.goal().to_vec(), command.torque_limit().to_vec())
     };
     let (goal, limit) = goal_and_limit(&mut controller);
-    // The gravity offset of the first joint exceeds 0.01 rad, so the slew limit still holds its goal back.
+    // The gravity offset of the first joint exceeds 0.01 rad, so its goal has moved by the speed limit of 0.01 rad per
+    // step.
     assert!((goal[0] - (Q[0] - 0.01)).abs() < 1e-12, "{goal:?}");
     let gravity = controller.diagnostics().gravity;
     for i in 0..7 {
         assert!(limit[i] >= 1.1 * gravity[i].abs(), "{limit:?}");
     }
-    // The limits of a soft axis fall at once and rise from zero to the ceiling in 0.2 s.
+    // The torque limits of a soft axis fall at once, and rise from zero to the ceiling in 0.2 s.
     let far = {
         let mut pose = target;
         pose.position[2] += 0.1;
@@ -107,7 +109,7 @@ fn the_slew_starts_at_reset_and_the_first_limit_is_not_slewed() {
 }
 
 #[test]
-fn new_settings_move_no_goal_beyond_the_slew() {
+fn new_settings_move_goals_at_the_limited_rate() {
     let mut random = Random::new(5);
     let model = arm();
     let mut controller = Controller::new(Arc::clone(&model), Settings::default(), Some(seeded::servos(0))).unwrap();
@@ -154,7 +156,7 @@ fn new_settings_move_no_goal_beyond_the_slew() {
 }
 
 #[test]
-fn a_lowered_tool_speed_holds_at_once() {
+fn a_lowered_tool_speed_takes_effect_at_once() {
     let (_, mut controller, mut target) = make(Settings { max_tool_speed: [f64::INFINITY; 2], ..Settings::default() });
     controller.step(&Q, &target, &StepInput::default()).unwrap();
     target.position[1] += 0.2;
@@ -171,7 +173,7 @@ fn a_lowered_tool_speed_holds_at_once() {
 }
 
 #[test]
-fn payload_gravity_and_delay_act_and_stay() {
+fn changes_of_payload_gravity_and_delay_take_effect_and_persist() {
     let (_, mut controller, target) = make(Settings::default());
     let payload = Payload { mass: 0.4, com: [0.01, 0.0, 0.03] };
     let vector = [1.0, -2.0, -9.0];
@@ -205,7 +207,7 @@ fn payload_gravity_and_delay_act_and_stay() {
 }
 
 #[test]
-fn a_payload_comes_into_force_in_half_a_second() {
+fn a_payload_change_takes_half_a_second() {
     let (_, mut controller, target) = make(Settings::default());
     let payload = Payload { mass: 0.4, com: [0.0, 0.03, 0.05] };
     let weight = |controller: &Controller| controller.diagnostics().gravity[1];
@@ -215,29 +217,32 @@ fn a_payload_comes_into_force_in_half_a_second() {
         });
         weight(controller)
     };
-    let without = tick(&mut controller, 1);
+    let unloaded_torque = tick(&mut controller, 1);
     controller.set_payload(Some(&payload)).unwrap();
     let loaded = seeded::arm(0, &ModelOptions { payload: Some(payload), ..ModelOptions::default() });
-    let more = loaded.gravity(&Q).unwrap()[1] - without;
-    assert!((tick(&mut controller, 1) - without).abs() < 1e-12, "the first step still reckons with what was");
-    // A tick of 10 ms is a fiftieth of the ramp, also in a controller restored from a snapshot.
-    let half = tick(&mut controller, 25) - without;
-    assert!((half / more - 0.5).abs() < 1e-9, "{half} of {more}");
+    let payload_torque = loaded.gravity(&Q).unwrap()[1] - unloaded_torque;
+    assert!(
+        (tick(&mut controller, 1) - unloaded_torque).abs() < 1e-12,
+        "the first step after the change uses the previous payload"
+    );
+    // The ramp takes 50 ticks of 10 ms, also in a controller restored from a snapshot.
+    let half = tick(&mut controller, 25) - unloaded_torque;
+    assert!((half / payload_torque - 0.5).abs() < 1e-9, "{half} of {payload_torque}");
     let (model, settings) = (Arc::clone(controller.model()), controller.settings().clone());
     let mut other =
         Controller::from_snapshot(model, settings, Some(seeded::servos(0)), &controller.snapshot()).unwrap();
     for count in [1, 10, 20] {
         assert_eq!(tick(&mut controller, count).to_bits(), tick(&mut other, count).to_bits());
     }
-    assert!(((tick(&mut controller, 1) - without) / more - 1.0).abs() < 1e-12);
-    // Removing the payload during the ramp starts from the present value; a reset ends the ramp.
+    assert!(((tick(&mut controller, 1) - unloaded_torque) / payload_torque - 1.0).abs() < 1e-12);
+    // A payload removed during the ramp starts a new ramp at the present value; a reset ends the ramp.
     controller.set_payload(None).unwrap();
     let before = tick(&mut controller, 11);
-    assert!(((before - without) / more - 0.8).abs() < 1e-9);
+    assert!(((before - unloaded_torque) / payload_torque - 0.8).abs() < 1e-9);
     controller.set_payload(Some(&payload)).unwrap();
-    assert!(((tick(&mut controller, 26) - without) / more - 0.89).abs() < 1e-9);
+    assert!(((tick(&mut controller, 26) - unloaded_torque) / payload_torque - 0.89).abs() < 1e-9);
     controller.reset(&Q).unwrap();
-    assert!(((tick(&mut controller, 1) - without) / more - 1.0).abs() < 1e-12);
+    assert!(((tick(&mut controller, 1) - unloaded_torque) / payload_torque - 1.0).abs() < 1e-12);
     let mut wrong = controller.snapshot();
     wrong.payload_ramp = Some([f64::NAN; 5]);
     assert!(Controller::from_snapshot(Arc::clone(controller.model()), Settings::default(), None, &wrong).is_err());
@@ -284,7 +289,7 @@ fn hold(
     goal
 }
 
-fn miss(model: &Model, q: &[f64], target: &Pose) -> f64 {
+fn position_error(model: &Model, q: &[f64], target: &Pose) -> f64 {
     largest_difference(&model.forward_kinematics(q).unwrap().position, &target.position)
 }
 
@@ -292,20 +297,20 @@ fn miss(model: &Model, q: &[f64], target: &Pose) -> f64 {
 fn the_integrating_goal_removes_the_steady_error() {
     let model = arm();
     let kp = BELIEVED.map(|k| 0.75 * k);
-    let mut left = [0.0; 2];
+    let mut errors = [0.0; 2];
     for (slot, integrate) in [0.0, 2.0].into_iter().enumerate() {
         let (_, mut controller, target) =
             make(Settings { tracking: Tracking { integrate, ..frictionless().tracking }, ..frictionless() });
         let mut q = Q.to_vec();
         controller.reset(&q).unwrap();
         hold(&model, &mut controller, &kp, &target, &mut q, 1500);
-        left[slot] = miss(&model, &q, &target);
+        errors[slot] = position_error(&model, &q, &target);
     }
-    assert!(left[0] > 2e-3 && left[1] < 2e-5, "{left:?}");
+    assert!(errors[0] > 2e-3 && errors[1] < 2e-5, "{errors:?}");
 }
 
 #[test]
-fn nothing_is_stored_on_soft_axes() {
+fn the_integrator_stores_no_lead_on_soft_axes() {
     let (_, mut controller, mut target) = make(Settings {
         max_tool_speed: [f64::INFINITY; 2],
         tracking: Tracking { integrate: 2.0, ..soft_y(0.0).tracking },
@@ -317,7 +322,7 @@ fn nothing_is_stored_on_soft_axes() {
     for _ in 0..60 {
         goal = controller.step(&Q, &target, &StepInput::default()).unwrap().goal().to_vec();
     }
-    // The lead beyond gravity, as a wrench at the tool: W of the law plus the stored lead of the integrating goal.
+    // The wrench at the tool of the lead beyond gravity: W of the law plus that of the integrator's stored lead.
     let (rows, record) = (controller.task_jacobian(), controller.diagnostics());
     let lead = nalgebra::DVector::from_fn(7, |i, _| goal[i] - Q[i] - record.gravity[i] / BELIEVED[i]);
     let compliance =
@@ -328,7 +333,7 @@ fn nothing_is_stored_on_soft_axes() {
 }
 
 #[test]
-fn the_integrating_goal_is_leashed_to_what_the_limit_can_use() {
+fn the_integrated_lead_is_bounded_by_the_torque_limit() {
     let (_, mut controller, mut target) =
         make(Settings { tracking: Tracking { integrate: 5.0, ..Tracking::default() }, ..Settings::default() });
     target.position[2] += 0.05;
@@ -338,14 +343,13 @@ fn the_integrating_goal_is_leashed_to_what_the_limit_can_use() {
     }
     let torque = [10.7, 10.7, 10.7, 10.7, 6.4, 6.4, 6.4];
     for i in 0..7 {
-        // The stored lead uses at most the torque that gravity leaves of the ceiling; the law's own lead is added to
-        // it.
+        // The stored lead uses at most the torque that gravity leaves; the lead of the law is added to it.
         assert!((goal[i] - Q[i]).abs() <= 2.0 * torque[i] / BELIEVED[i] + 1e-9, "joint {i}: {goal:?}");
     }
 }
 
 #[test]
-fn gravity_is_captured_once() {
+fn a_captured_gravity_offset_is_not_added_twice() {
     let model = arm();
     for share in [0.5, 0.75, 1.5, 2.0] {
         let kp = BELIEVED.map(|k| share * k);
@@ -361,26 +365,25 @@ fn gravity_is_captured_once() {
             let expected = if gravity[i].abs() > 3.0 * friction { kp[i] } else { BELIEVED[i] };
             assert!((kg[i] / expected - 1.0).abs() < 0.02, "{share}, joint {i}: {} instead of {expected}", kg[i]);
         }
-        // The captured offset is not added twice: with the same settings the goal does not change.
+        // With the same settings the goal does not change, so the captured offset is not added twice.
         let next = controller.step(&q, &target, &StepInput::default()).unwrap().goal().to_vec();
         assert!(largest_difference(&next, &goal) < 1e-4, "{share}: {next:?} {goal:?}");
-        // Without the integrating goal its stored lead is gone, and the captured offset holds the arm, also after a
-        // reset.
+        // Without integration the stored lead is removed, and the captured offset holds the arm, also after a reset.
         controller.update(Settings { tracking: Tracking { integrate: 0.0, ..settings.tracking }, ..settings }).unwrap();
         hold(&model, &mut controller, &kp, &target, &mut q, 300);
-        assert!(miss(&model, &q, &target) < 1e-3, "{share}: {}", miss(&model, &q, &target));
+        assert!(position_error(&model, &q, &target) < 1e-3, "{share}: {}", position_error(&model, &q, &target));
         controller.reset(&q).unwrap();
         let mut lower = target;
         lower.position[0] -= 0.05;
         hold(&model, &mut controller, &kp, &lower, &mut q, 600);
-        assert!(miss(&model, &q, &lower) < 2.5e-3, "{share}: {}", miss(&model, &q, &lower));
+        assert!(position_error(&model, &q, &lower) < 2.5e-3, "{share}: {}", position_error(&model, &q, &lower));
     }
 }
 
 #[test]
 fn a_captured_stiffness_is_bounded() {
     let (_, mut controller, _) = make(Settings::default());
-    // A lead of zero, one that is far too long, and one in the wrong direction.
+    // A lead of zero, a lead that is much too large, and a lead in the wrong direction.
     let gravity = controller.model().gravity(&Q).unwrap();
     for (lead, factor) in [(0.0, 3.0), (1.0, 0.3), (-0.02, 3.0)] {
         let goal: Vec<f64> = (0..7).map(|i| Q[i] + lead * gravity[i].signum()).collect();
@@ -402,7 +405,7 @@ fn a_twist_is_fed_forward_within_the_tool_speed() {
 }
 
 #[test]
-fn joint_targets_are_their_pose_and_posture() {
+fn a_joint_target_sets_pose_and_posture() {
     let (model, mut controller, _) = make(Settings::default());
     let mut twin = controller.clone();
     let wanted: Vec<f64> = Q.iter().map(|x| x + 0.05).collect();
@@ -413,7 +416,7 @@ fn joint_targets_are_their_pose_and_posture() {
 }
 
 #[test]
-fn duty_servos_feed_their_back_emf_forward() {
+fn back_emf_of_pwm_limited_servos_is_fed_forward() {
     let duty = Servos { limit_type: pliant_core::LimitType::Pwm, no_load_speed: Some(vec![5.0]), ..seeded::servos(0) };
     let mut controller = Controller::new(arm(), Settings::default(), Some(duty)).unwrap();
     let target = arm().forward_kinematics(&Q).unwrap();

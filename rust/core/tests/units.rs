@@ -15,29 +15,29 @@ fn controller(model: &Arc<Model>) -> Controller {
 }
 
 /// Returns a pose at a distance [m] from the first joint, in the direction `way`.
-fn at(model: &Model, distance: f64, way: [f64; 3]) -> Pose {
-    let size = way.iter().map(|x| x * x).sum::<f64>().sqrt();
+fn at(model: &Model, distance: f64, direction: [f64; 3]) -> Pose {
+    let size = direction.iter().map(|x| x * x).sum::<f64>().sqrt();
     let centre = model.reach_origin();
-    Pose { position: std::array::from_fn(|i| centre[i] + distance * way[i] / size), ..Pose::IDENTITY }
+    Pose { position: std::array::from_fn(|i| centre[i] + distance * direction[i] / size), ..Pose::IDENTITY }
 }
 
 #[test]
-fn the_bound_is_the_same_ball_on_all_instructions() {
+fn the_target_region_is_the_same_on_all_instruction_sets() {
     let model = Arc::new(common::arm7());
     let bound = 2.0 * model.reach() + 0.1;
     for simd_level in SimdLevel::available() {
         let mut controller = controller(&model);
         controller.set_simd_level(simd_level);
-        for way in [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 1.0, 1.0], [-2.0, 1.0, 0.5]] {
+        for direction in [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 1.0, 1.0], [-2.0, 1.0, 0.5]] {
             for distance in [0.5 * bound, bound / 3.0_f64.sqrt(), bound - 1e-9] {
-                controller.step(&Q, &at(&model, distance, way), &StepInput::default()).unwrap();
+                controller.step(&Q, &at(&model, distance, direction), &StepInput::default()).unwrap();
             }
             let before = controller.snapshot();
             for distance in [bound + 1e-9, 10.0 * bound, 1e3, 1e9, 1e300] {
-                let error = controller.step(&Q, &at(&model, distance, way), &StepInput::default()).unwrap_err();
+                let error = controller.step(&Q, &at(&model, distance, direction), &StepInput::default()).unwrap_err();
                 assert!(matches!(&error, Error::OutOfRange { value, .. } if *value >= bound - 1e-3), "{error}");
                 assert!(error.to_string().contains("millimetres?"), "{error}");
-                assert_eq!(error, model.check_target(&at(&model, distance, way)).unwrap_err());
+                assert_eq!(error, model.check_target(&at(&model, distance, direction)).unwrap_err());
             }
             assert_eq!(controller.snapshot(), before);
         }
@@ -45,7 +45,7 @@ fn the_bound_is_the_same_ball_on_all_instructions() {
 }
 
 #[test]
-fn what_is_no_number_is_said_before_distance() {
+fn nan_is_reported_before_the_distance() {
     let model = Arc::new(common::arm7());
     let mut controller = controller(&model);
     for strange in [f64::NAN, f64::INFINITY] {
@@ -56,7 +56,7 @@ fn what_is_no_number_is_said_before_distance() {
 }
 
 #[test]
-fn joint_targets_end_a_little_beyond_the_limits() {
+fn joint_targets_may_exceed_the_limits_slightly() {
     let model = Arc::new(common::arm7());
     let mut controller = controller(&model);
     for i in 0..7 {

@@ -1,4 +1,4 @@
-//! Compares links and joints with those that urdf-rs reads directly, without the checks of this crate.
+//! Compares links and joints with those that urdf-rs reads from the original text.
 
 use std::path::Path;
 

@@ -1,5 +1,5 @@
-//! Reads arguments that must be objects of this package; an object of another type raises a `TypeError` that says how
-//! to create one.
+//! Readers of arguments that must be objects of this package. For another type they raise a `TypeError` that says how
+//! to create the object.
 
 use pyo3::PyClass;
 use pyo3::prelude::*;

@@ -1,5 +1,5 @@
-//! Arrays with one row per configuration. Inputs in C-ordered float64 arrays are read in place, others are copied;
-//! results are written into the caller's arrays or into new ones.
+//! Input and output arrays with one row per configuration. C-ordered float64 inputs are read in place, others are
+//! copied; results are written to arrays of the caller or to new arrays.
 
 use pyo3::prelude::*;
 
@@ -52,8 +52,8 @@ pub(crate) fn rows_of(part: &[usize]) -> String {
     format!("({})", sizes.join(", "))
 }
 
-/// Returns the output array of shape (`count`, `part`): `out`, or a new array if `out` is `None`. An `out` of another
-/// shape, type or layout is an error.
+/// Returns the output array of shape (`count`, `part`): `out`, or a new array if `out` is `None`; an error if `out` has
+/// another shape, type or layout.
 pub(crate) fn target<'py>(
     py: Python<'py>,
     name: &str,

@@ -61,7 +61,7 @@ impl Command {
         }
     }
 
-    /// Creates a command that holds these arrays.
+    /// Creates a command from its arrays.
     pub(crate) fn of([goal, torque_limit, speed_limit]: [Py<PyAny>; 3]) -> Self {
         Self { goal, torque_limit, speed_limit }
     }
@@ -75,15 +75,14 @@ impl Command {
         [(&self.goal, core.goal()), (&self.torque_limit, core.torque_limit()), (&self.speed_limit, core.speed_limit())]
     }
 
-    /// Overwrites the arrays; returns `false` at the first one that Python code still refers to or has made unfit for
-    /// writing.
+    /// Overwrites the arrays; returns `false` at the first array that Python code refers to or that is not writable.
     #[inline]
     fn refill(&self, py: Python<'_>, core: &CoreCommand) -> bool {
         self.parts(core).into_iter().all(|(array, values)| overwrite(array.bind(py), values))
     }
 
-    /// Returns `out` as a command; an error if it is none, or if its arrays are not writable float64 arrays of `n`
-    /// numbers.
+    /// Returns `out` as a command; an error if it is not a command, or if its arrays are not writable float64 arrays of
+    /// `n` numbers.
     #[inline]
     pub(crate) fn writable<'a, 'py>(out: &'a Bound<'py, PyAny>, n: usize) -> PyResult<&'a Bound<'py, Self>> {
         let out = out.cast::<Self>().map_err(|_| wrong_type("out", "a Command, as a step returns it", out))?;
@@ -113,17 +112,17 @@ fn unwritable(array: &Bound<'_, PyAny>, n: usize) -> PyErr {
     wrong_type("out", &format!("a command whose arrays are writable float64 of {n} in C order"), array)
 }
 
-/// Three commands in rotation, each reused only if neither the command nor one of its arrays has another reference.
+/// Three commands in rotation. A command is reused only if neither it nor one of its arrays has another reference.
 ///
-/// A loop that keeps no command thus allocates nothing, and a command that the caller keeps never changes. Reference
-/// counts are reliable only under the interpreter lock. The module declares that it needs the lock; a free-threaded
-/// Python gets a new command from every step.
+/// So a loop that keeps no command allocates nothing, and a command that the caller keeps never changes. Reference
+/// counts are reliable only under the interpreter lock, which the module requires; a free-threaded Python gets a new
+/// command from every step.
 #[derive(Debug, Default)]
 pub(crate) struct Pool {
     slots: [Option<Py<Command>>; 3],
     next: usize,
     /// Number of commands created so far.
-    pub(crate) made: u64,
+    pub(crate) created: u64,
 }
 
 impl Pool {
@@ -139,7 +138,7 @@ impl Pool {
             return Ok(command.clone_ref(py));
         }
         let made = Py::new(py, Command::new(py, core))?;
-        self.made += 1;
+        self.created += 1;
         *slot = Some(made.clone_ref(py));
         Ok(made)
     }

@@ -22,7 +22,7 @@ use crate::{arguments, in_use};
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct WrenchEstimate(CoreEstimate);
 
-/// Defines the getters for array fields of the core's estimate: numbers per axis, numbers per joint, flags per axis.
+/// Defines getters for the array fields of the core's estimate: one number per axis, per joint, or one flag per axis.
 macro_rules! attributes {
     (axes: $($axis:ident),*; joints: $($joint:ident),*; flags: $($flag:ident),*;) => {
         #[pymethods]
@@ -96,7 +96,7 @@ fn part(values: Option<&JointVec>, n: usize) -> Option<&[f64]> {
     values.map(|values| &values[..n])
 }
 
-/// Description of a share for error messages.
+/// Expected value of a share, for error messages.
 const SHARE: &str = "a number; a share of 2 % is 0.02";
 
 /// Reads the argument `axes`, an axis key, as one flag per axis.

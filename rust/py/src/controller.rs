@@ -41,8 +41,8 @@ pub(crate) struct Controller {
 }
 
 impl Controller {
-    /// Creates a controller; it continues from `snapshot` if one is given, else it starts without state.
-    pub(crate) fn made(
+    /// Creates a controller, which continues from `snapshot` if one is given.
+    pub(crate) fn create(
         py: Python<'_>,
         model: Py<Model>,
         settings: Py<Settings>,
@@ -50,19 +50,20 @@ impl Controller {
         snapshot: Option<&Snapshot>,
     ) -> PyResult<Self> {
         let arm = Arc::clone(&model.get().core);
-        let (wanted, table) = (settings.get().0.clone(), servos.as_ref().map(|servos| servos.get().0.clone()));
+        let (core_settings, core_servos) =
+            (settings.get().0.clone(), servos.as_ref().map(|servos| servos.get().0.clone()));
         let core = py
             .detach(|| match snapshot {
-                Some(snapshot) => CoreController::from_snapshot(arm, wanted, table, snapshot),
-                None => CoreController::new(arm, wanted, table),
+                Some(snapshot) => CoreController::from_snapshot(arm, core_settings, core_servos, snapshot),
+                None => CoreController::new(arm, core_settings, core_servos),
             })
             .or_raise()?;
         let (n, position_only) = (core.model().n(), position_only(&settings.get().0));
         Ok(Self { core, n, position_only, pool: Pool::default(), model, settings, servos })
     }
 
-    /// Returns a copy with the same settings, payload and state, and a command pool of its own.
-    fn twin(&self, py: Python<'_>) -> Self {
+    /// Returns a copy with the same settings, payload and state, but a separate command pool.
+    fn copy(&self, py: Python<'_>) -> Self {
         Self {
             core: self.core.clone(),
             n: self.n,
@@ -93,7 +94,7 @@ impl Controller {
             Some(servos) => Some(Py::new(py, Servos(servos.get().0.for_joints(model.get().core.n()).or_raise()?))?),
             None => model.get().servos.as_ref().map(|servos| servos.clone_ref(py)),
         };
-        Self::made(py, model, settings, servos, None)
+        Self::create(py, model, settings, servos, None)
     }
 
     #[doc = stub!(Controller.step)]
@@ -120,7 +121,7 @@ impl Controller {
         let out = out.map(|out| Command::writable(out, n)).transpose()?;
         let Self { core, pool, .. } = &mut *exclusive(slf)?;
         let command = core.step(&position[..n], &target, &extras.input(n)).or_raise()?;
-        hand_out(py, pool, command, out)
+        to_python(py, pool, command, out)
     }
 
     #[doc = stub!(Controller.step_joints)]
@@ -138,13 +139,13 @@ impl Controller {
         out: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Py<Command>> {
         let (n, _) = sizes(slf)?;
-        let (q, wanted) = (joints("q", q, n)?, joints("q_target", q_target, n)?);
+        let (q, q_target) = (joints("q", q, n)?, joints("q_target", q_target, n)?);
         let mut extras = Extras::default();
         extras.read(n, dt, dq, twist, gradient)?;
         let out = out.map(|out| Command::writable(out, n)).transpose()?;
         let Self { core, pool, .. } = &mut *exclusive(slf)?;
-        let command = core.step_joints(&q[..n], &wanted[..n], &extras.input(n)).or_raise()?;
-        hand_out(py, pool, command, out)
+        let command = core.step_joints(&q[..n], &q_target[..n], &extras.input(n)).or_raise()?;
+        to_python(py, pool, command, out)
     }
 
     #[doc = stub!(Controller.step_batch)]
@@ -191,10 +192,10 @@ impl Controller {
         slf: &Bound<'_, Self>,
         #[pyo3(from_py_with = arguments::settings)] settings: Py<Settings>,
     ) -> PyResult<()> {
-        let mut own = exclusive(slf)?;
-        own.core.update(settings.get().0.clone()).or_raise()?;
-        own.position_only = position_only(&settings.get().0);
-        own.settings = settings;
+        let mut controller = exclusive(slf)?;
+        controller.core.update(settings.get().0.clone()).or_raise()?;
+        controller.position_only = position_only(&settings.get().0);
+        controller.settings = settings;
         Ok(())
     }
 
@@ -276,18 +277,18 @@ impl Controller {
         let out = PyDict::new(py);
         let springs = settings.law == Law::Impedance;
         for ((axis, strength), impedance) in axes.zip(self.core.axis_strengths()).zip(self.core.axis_impedances()) {
-            let given = settings.axes[axis];
-            let yields = Some(given.compliant_side());
-            let filled = CoreAxis {
+            let user_axis = settings.axes[axis];
+            let yields = Some(user_axis.compliant_side());
+            let complete_axis = CoreAxis {
                 soft: Some(strength.soft),
                 firm: Some(strength.firm),
                 hold: Some(strength.hold),
                 stiffness: springs.then_some(impedance.stiffness),
                 damping: springs.then_some(impedance.damping),
                 yields,
-                ..given
+                ..user_axis
             };
-            out.set_item(AXIS_NAMES[axis], Axis(filled).into_pyobject(py)?)?;
+            out.set_item(AXIS_NAMES[axis], Axis(complete_axis).into_pyobject(py)?)?;
         }
         Ok(out)
     }
@@ -307,15 +308,15 @@ impl Controller {
     #[doc = stub!(Controller.commands_made)]
     #[getter]
     fn commands_made(&self) -> u64 {
-        self.pool.made
+        self.pool.created
     }
 
     fn __copy__(&self, py: Python<'_>) -> Self {
-        self.twin(py)
+        self.copy(py)
     }
 
     fn __deepcopy__(&self, py: Python<'_>, _memo: &Bound<'_, PyAny>) -> Self {
-        self.twin(py)
+        self.copy(py)
     }
 
     fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<Reduced<'py>> {
@@ -329,9 +330,10 @@ impl Controller {
     }
 }
 
-/// Returns `command` in the arrays of `out`, or in a command of the pool if `out` is `None`.
+/// Returns `command` as a Python object: `out` with its arrays overwritten, or a command of the pool if `out` is
+/// `None`.
 #[inline]
-fn hand_out(
+fn to_python(
     py: Python<'_>,
     pool: &mut Pool,
     command: &CoreCommand,
@@ -346,7 +348,7 @@ fn hand_out(
     }
 }
 
-/// Returns the number of joints, and true if a target may be a position (task without rotations).
+/// Returns the number of joints, and true if a target may be a position, for a task without rotations.
 #[inline]
 fn sizes(controller: &Bound<'_, Controller>) -> PyResult<(usize, bool)> {
     let controller = shared(controller)?;

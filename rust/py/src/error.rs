@@ -102,7 +102,7 @@ fn build(py: Python<'_>, error: &Error) -> PyResult<PyErr> {
             value.setattr("key", key)?;
             value
         }
-        // Variants that this binding does not know become a `ValueError`.
+        // Variants without an exception class here raise a `ValueError`.
         other => return Ok(PyValueError::new_err(other.to_string())),
     };
     Ok(PyErr::from_value(value))
@@ -134,7 +134,7 @@ pub(crate) fn shape(what: &str, got: &[usize], expected: impl Into<String>) -> P
     raised(&Error::Shape { what: what.into(), got: tuple(got), expected: expected.into() })
 }
 
-/// Creates a `TypeError` with the expected and the given value of an argument.
+/// Creates a `TypeError` for an argument, with a description of the expected value and the given value.
 #[cold]
 #[inline(never)]
 pub(crate) fn wrong_type(name: &str, expected: &str, value: &Bound<'_, PyAny>) -> PyErr {
@@ -160,7 +160,7 @@ pub(crate) fn tuple(shape: &[usize]) -> String {
     }
 }
 
-/// Returns `; did you mean 'x'?` if Python's difflib finds a name similar to `word`, else `stop`.
+/// Returns `; did you mean 'x'?` with a name similar to `word`; `stop` if difflib finds none.
 #[cold]
 #[inline(never)]
 pub(crate) fn suggestion(py: Python<'_>, word: &str, names: &[&str], stop: &str) -> String {

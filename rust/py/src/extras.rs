@@ -6,7 +6,7 @@ use pyo3::prelude::*;
 use crate::error::wrong_type;
 use crate::read::{array_into, joints, number};
 
-/// Description of a time for error messages.
+/// Expected value of a time, for error messages.
 pub(crate) const SECONDS: &str = "a number [s]";
 
 /// Optional arguments of a control step as numbers; `None` for those not given.
@@ -19,7 +19,7 @@ pub(crate) struct Extras {
 }
 
 impl Extras {
-    /// Reads the given arguments into `self`; reading in place avoids moving a mostly empty struct.
+    /// Reads the given arguments into `self`; returning the mostly empty struct by value would copy it.
     #[inline]
     pub(crate) fn read(
         &mut self,

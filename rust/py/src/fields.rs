@@ -8,14 +8,13 @@ use crate::error::{config, suggestion};
 
 /// Hooks with which a value class extends what [`fields!`](crate::fields::fields) defines.
 pub(crate) trait Special: Sized {
-    /// Adjusts an object that a constructor or `replace` made with `changes`: a group of settings records which fields
-    /// were given. The default returns it unchanged.
+    /// Adjusts an object that a constructor or `replace` has created with `changes`. A group of settings records here
+    /// which fields were given; the default returns the object unchanged.
     fn after(self, _before: Option<&Self>, _changes: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
         Ok(self)
     }
 
-    /// Returns a hint to the class that has the field `name`, for a class that has no such field; `None` if there is no
-    /// hint.
+    /// Returns a hint for the error message about the unknown field `name`, if another class has that field.
     fn elsewhere(_name: &str) -> Option<String> {
         None
     }

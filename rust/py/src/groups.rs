@@ -89,7 +89,7 @@ macro_rules! group {
         #[derive(Debug, Clone)]
         pub(crate) struct $class(pub(crate) core::$class, FieldMask);
 
-        // Compares the values only: whether a field was given or has its default does not matter.
+        // Compares the values only, not which fields were given.
         impl PartialEq for $class {
             fn eq(&self, other: &Self) -> bool {
                 self.0 == other.0
@@ -204,7 +204,7 @@ group! {
     }
 }
 
-/// Returns a hint such as `; use tracking=Tracking(gain=...).` to the groups that have the field `name`; `None` if no
+/// Returns a hint such as `; use tracking=Tracking(gain=...).` with the groups that have the field `name`; `None` if no
 /// group has it.
 pub(crate) fn owner(name: &str) -> Option<String> {
     let groups: [(&str, &str, &[&str]); 4] = [

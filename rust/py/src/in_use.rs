@@ -1,5 +1,5 @@
-//! Borrows of Python objects with mutable state. An object that is already in use raises a `RuntimeError` with a remedy
-//! instead of a panic.
+//! Borrows of Python objects with mutable state. If the object is already in use, they raise a `RuntimeError` with a
+//! remedy.
 
 use pyo3::PyClass;
 use pyo3::exceptions::PyRuntimeError;
@@ -12,8 +12,8 @@ pub(crate) fn shared<'py, T: PyClass>(object: &Bound<'py, T>) -> PyResult<PyRef<
     object.try_borrow().map_err(|_| in_use::<T>())
 }
 
-/// Borrows an object for writing; `RuntimeError` if another call uses it. Read all arguments before: that may run
-/// Python code that uses the same object.
+/// Borrows an object for writing; `RuntimeError` if another call uses it. All arguments must be read before, because
+/// that may run Python code that uses the same object.
 #[inline]
 pub(crate) fn exclusive<'py, T: PyClass<Frozen = False>>(object: &Bound<'py, T>) -> PyResult<PyRefMut<'py, T>> {
     object.try_borrow_mut().map_err(|_| in_use::<T>())

@@ -14,7 +14,7 @@ use crate::read::compact::joints;
 use crate::read::numbers;
 
 #[doc = stub!(JointFollower)]
-#[pyclass(module = "pliant._core")]
+#[pyclass(module = "pliant.teleop")]
 #[derive(Debug)]
 pub(crate) struct JointFollower {
     core: CoreFollower,
@@ -34,13 +34,13 @@ impl JointFollower {
         max_joint_speed: f64,
     ) -> PyResult<Self> {
         let model = arguments::model(model)?;
-        let (model, own) = (&model.get().core, model.get().servos.as_ref());
+        let (model, model_servos) = (&model.get().core, model.get().servos.as_ref());
         let options = JointFollowerOptions { max_force: force(max_force)?, max_tool_speed, max_joint_speed };
-        let given = servos.map(arguments::servos_or_none).transpose()?.flatten();
-        let Some(table) = given.as_ref().or(own).map(|servos| &servos.get().0) else {
+        let servos = servos.map(arguments::servos_or_none).transpose()?.flatten();
+        let Some(core_servos) = servos.as_ref().or(model_servos).map(|servos| &servos.get().0) else {
             return Err(config("servos", "JointFollower needs a servo table: servos=pliant.Servos(...)"));
         };
-        let core = CoreFollower::new(Arc::clone(model), table, options).or_raise()?;
+        let core = CoreFollower::new(Arc::clone(model), core_servos, options).or_raise()?;
         Ok(Self { n: model.n(), core, pool: Pool::default() })
     }
 

@@ -18,7 +18,7 @@ pub(crate) trait Kind {
     /// Reads the user's value of the field `name`.
     fn read(name: &str, value: &Bound<'_, PyAny>) -> PyResult<Self::Core>;
 
-    /// Updates `core` with the user's value: replaces it, or for a group of settings only the fields given there.
+    /// Updates `core` with the user's value: replaces it, or in a group of settings only the given fields.
     fn update(core: &mut Self::Core, name: &str, value: &Bound<'_, PyAny>) -> PyResult<()> {
         *core = Self::read(name, value)?;
         Ok(())
@@ -56,7 +56,7 @@ pub(crate) fn wrong(name: &str, expected: &str, value: &Bound<'_, PyAny>) -> PyE
     config(name, format!("must be {expected}, got {}", shown(value)))
 }
 
-/// A number; `None` stands for infinity, "no limit".
+/// A number; `None` is read as infinity (no limit).
 pub(crate) struct Number;
 
 impl Kind for Number {
@@ -159,11 +159,11 @@ impl Kind for Sides {
     }
 }
 
-/// Limits of speed or acceleration: a pair (translations, rotations), a number for translations, from which that for
-/// rotations follows, or `None` for no limit.
+/// Limits of speed or acceleration: a pair (translations, rotations); a number for translations, from which the limit
+/// of rotations is derived; or `None` for no limit.
 pub(crate) struct Speeds;
 
-/// Rotation limit [rad] per metre of the translation limit if only the latter is given; the ratio of the defaults.
+/// Limit of rotations divided by that of translations [rad/m] if only the latter is given: the ratio of the defaults.
 const RADIANS_PER_METRE: f64 = 4.0;
 
 impl Kind for Speeds {

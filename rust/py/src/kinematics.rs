@@ -22,8 +22,7 @@ fn at(core: &CoreModel, q: &Bound<'_, PyAny>, reference: Reference, rows: &mut J
     core.kinematics_into(&joints("q", q, n)?[..n], reference, rows).or_raise()
 }
 
-/// Returns the tuple of pose (4, 4) and Jacobian (6, n) at `q`: `out` with both written into it, or new arrays if `out`
-/// is `None`.
+/// Returns a tuple of pose (4, 4) and Jacobian (6, n) at `q`, written to the arrays of `out` if it is given.
 pub(crate) fn both<'py>(
     core: &CoreModel,
     q: &Bound<'py, PyAny>,
@@ -65,7 +64,8 @@ pub(crate) fn jacobian<'py>(
     Ok(new_rows(q.py(), core.n(), &rows))
 }
 
-/// Returns poses (N, 4, 4) and Jacobians (N, 6, n) of configurations `q` (N, n), in the arrays of `out` if given.
+/// Returns poses (N, 4, 4) and Jacobians (N, 6, n) of configurations `q` (N, n), written to the arrays of `out` if
+/// given.
 pub(crate) fn both_batch<'py>(
     core: &CoreModel,
     q: &Bound<'py, PyAny>,
@@ -88,8 +88,8 @@ pub(crate) fn both_batch<'py>(
     Ok((poses, jacobians))
 }
 
-/// Returns an array (N, `part`) that `fill` computes from configurations `q` (N, n) without the interpreter lock; `out`
-/// if given.
+/// Returns an array (N, `part`), `out` if given, which `fill` computes from configurations `q` (N, n) without the
+/// interpreter lock.
 fn one_batch<'py>(
     core: &CoreModel,
     q: &Bound<'py, PyAny>,
@@ -106,7 +106,7 @@ fn one_batch<'py>(
     Ok(array)
 }
 
-/// Returns the poses (N, 4, 4) of configurations `q` (N, n); in `out` if given.
+/// Returns the poses (N, 4, 4) of configurations `q` (N, n), written to `out` if given.
 pub(crate) fn poses<'py>(
     core: &CoreModel,
     q: &Bound<'py, PyAny>,
@@ -115,7 +115,7 @@ pub(crate) fn poses<'py>(
     one_batch(core, q, out, &[4, 4], |q, to| core.kinematics_batch(q, Reference::WorldAligned, to, &mut []))
 }
 
-/// Returns the Jacobians (N, 6, n) of configurations `q` (N, n); in `out` if given.
+/// Returns the Jacobians (N, 6, n) of configurations `q` (N, n), written to `out` if given.
 pub(crate) fn jacobians<'py>(
     core: &CoreModel,
     q: &Bound<'py, PyAny>,
@@ -125,7 +125,7 @@ pub(crate) fn jacobians<'py>(
     one_batch(core, q, out, &[6, core.n()], |q, to| core.kinematics_batch(q, reference, &mut [], to))
 }
 
-/// Returns the torques (N, n) that hold the arm at rest in configurations `q` (N, n); in `out` if given.
+/// Returns the torques (N, n) that hold the arm at rest in configurations `q` (N, n), written to `out` if given.
 pub(crate) fn gravities<'py>(
     core: &CoreModel,
     q: &Bound<'py, PyAny>,

@@ -30,9 +30,9 @@ pub(crate) struct Model {
     pub(crate) core: Arc<CoreModel>,
     /// Default servos of a controller, with one entry per joint; `None` if the model has none.
     pub(crate) servos: Option<Py<Servos>>,
-    /// URDF text from which the model was made.
+    /// URDF text of the model.
     text: String,
-    /// Keyword arguments with which the model was made; `None` if there were none.
+    /// Keyword arguments of the call that created the model; `None` if there were none.
     options: Option<Py<PyDict>>,
     links: PyOnceLock<Py<PyTuple>>,
     joints: PyOnceLock<Py<PyTuple>>,
@@ -46,7 +46,7 @@ impl Model {
         text: String,
         options: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<Self> {
-        // Copied deeply, so that the arguments in a pickle stay as given if the caller changes theirs later.
+        // A deep copy, so that a pickle contains the arguments of this call even if the caller changes them later.
         let options = match options {
             Some(given) => Some(py.import("copy")?.call_method1("deepcopy", (given,))?.cast_into::<PyDict>()?.unbind()),
             None => None,

@@ -31,13 +31,14 @@ const READABLE: i32 = NPY_ARRAY_C_CONTIGUOUS | NPY_ARRAY_ALIGNED;
 /// NumPy flags that an array must have to be written in place.
 const WRITABLE: i32 = READABLE | NPY_ARRAY_WRITEABLE;
 
-/// NumPy's code for native byte order, `=`, as a number: `c_char` is signed or unsigned depending on the platform.
+/// NumPy's code for native byte order, `=`. As a number, because `c_char` is signed or unsigned depending on the
+/// platform.
 const NATIVE: std::ffi::c_char = 0x3d;
 
 /// True on a free-threaded Python, where a reference count of 1 does not prove that no other thread uses the object.
 static FREE_THREADED: AtomicBool = AtomicBool::new(false);
 
-/// Stores the type `numpy.ndarray`, and whether this Python is free-threaded.
+/// Initialises [`ARRAY_TYPE`] and [`FREE_THREADED`].
 pub(crate) fn initialise(py: Python<'_>) -> PyResult<()> {
     let version: String = py.import("sys")?.getattr("version")?.extract()?;
     FREE_THREADED.store(version.contains("free-threading"), Ordering::Relaxed);
@@ -81,8 +82,8 @@ fn structure<'a>(array: &'a Bound<'_, PyAny>, shape: &[usize], flags: i32) -> Op
 
 /// Copies `count` numbers between arrays.
 ///
-/// Up to [`MAX_JOINTS`] numbers are copied inline, because a call of `memcpy` takes longer than such a copy. They are
-/// copied in pairs, because processors forward a recent store only to a load that lies within that store.
+/// Up to [`MAX_JOINTS`] numbers are copied inline, which is faster than a call of `memcpy`. They are copied in pairs,
+/// because processors forward a recent store only to a load within that store.
 ///
 /// # Safety
 /// `from` is valid for `count` reads and `to` for as many writes, and they do not overlap.
@@ -129,8 +130,8 @@ pub(crate) fn copy(array: &Bound<'_, PyAny>, shape: &[usize], out: &mut [f64]) -
     true
 }
 
-/// Returns the first `N` numbers of a plain array of this shape, by value so that they can stay in registers; `None`
-/// for any other object.
+/// Returns the first `N` numbers of a plain array of this shape; `None` for any other object. By value, so that they
+/// can stay in registers.
 #[inline(always)]
 pub(crate) fn first_numbers<const N: usize>(array: &Bound<'_, PyAny>, shape: &[usize]) -> Option<[f64; N]> {
     // SAFETY: the slice is copied before any other code runs.
@@ -256,8 +257,8 @@ fn check_lent(inputs: &[Lent<'_, '_>], outs: &[(&str, &Bound<'_, PyAny>, &[usize
     Ok(())
 }
 
-/// Returns the elements of a writable, C-contiguous float64 array of this shape as a mutable slice; `None` for any other
-/// object.
+/// Returns the elements of a writable, C-contiguous float64 array of this shape as a mutable slice; `None` for any
+/// other object.
 ///
 /// # Safety
 /// While the slice is in use, the memory of the array must not be freed or reallocated, no Python code may run in this
@@ -269,7 +270,7 @@ unsafe fn read_mut<'a>(array: &'a Bound<'_, PyAny>, shape: &[usize]) -> Option<&
     Some(unsafe { std::slice::from_raw_parts_mut(fields.data.cast::<f64>(), shape.iter().product()) })
 }
 
-/// Returns true if two float64 arrays overlap in memory; false if one of the objects is no float64 array.
+/// Returns true if two float64 arrays overlap in memory; false if one of the objects is not a float64 array.
 pub(crate) fn share_memory(a: &Bound<'_, PyAny>, b: &Bound<'_, PyAny>) -> bool {
     match (memory(a), memory(b)) {
         (Some(a), Some(b)) => a.start < b.end && b.start < a.end,
@@ -277,7 +278,7 @@ pub(crate) fn share_memory(a: &Bound<'_, PyAny>, b: &Bound<'_, PyAny>) -> bool {
     }
 }
 
-/// Returns the address range of a plain array's numbers; `None` if the object is no native float64 array.
+/// Returns the address range of an array's numbers; `None` if the object is not a native float64 array.
 fn memory(array: &Bound<'_, PyAny>) -> Option<std::ops::Range<usize>> {
     let fields = structure_of(array)?;
     let start = fields.data.addr();
@@ -291,8 +292,8 @@ fn memory(array: &Bound<'_, PyAny>) -> Option<std::ops::Range<usize>> {
 
 /// Writes numbers into a vector that nothing else refers to; otherwise returns `false` and does nothing.
 ///
-/// Not written: an array with another reference (a view and a memoryview hold one) or a weak reference, and one that
-/// does not own its memory.
+/// Does not write an array that has another reference (e.g. by a view or memoryview) or a weak reference, or that does
+/// not own its memory.
 #[inline]
 pub(crate) fn overwrite(array: &Bound<'_, PyAny>, values: &[f64]) -> bool {
     let Some(fields) = structure(array, &[values.len()], WRITABLE | NPY_ARRAY_OWNDATA) else { return false };
@@ -311,7 +312,7 @@ pub(crate) fn only_reference(object: &Bound<'_, PyAny>) -> bool {
     unsafe { Py_REFCNT(object.as_ptr()) == 1 && !FREE_THREADED.load(Ordering::Relaxed) }
 }
 
-/// Numbers with a shape, converted to a new NumPy array at each access from Python.
+/// Numbers with a shape, which become a new NumPy array at each access from Python.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Array {
     shape: Vec<usize>,
@@ -342,7 +343,7 @@ impl<'py> IntoPyObject<'py> for &Array {
     }
 }
 
-/// Booleans, converted to a new NumPy array (n,) at each access from Python.
+/// Booleans, which become a new NumPy array (n,) at each access from Python.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Flags(pub(crate) Vec<bool>);
 
@@ -356,7 +357,7 @@ impl<'py> IntoPyObject<'py> for &Flags {
     }
 }
 
-/// Creates an array of this shape from `values`, row by row; entries without a value are 0.
+/// Creates an array of this shape from `values`, row-major; entries without a value are 0.
 #[inline(never)]
 pub(crate) fn new_array<'py>(py: Python<'py>, shape: &[usize], values: &[f64]) -> Bound<'py, PyAny> {
     let array = PyArrayDyn::<f64>::zeros(py, shape, false);

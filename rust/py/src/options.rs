@@ -62,7 +62,8 @@ fn payload(value: &Bound<'_, PyAny>) -> PyResult<CorePayload> {
     }
 }
 
-/// Reads a mapping from joint names to values. `read` converts a value and gets its key for error messages.
+/// Reads a mapping from joint names to values. `read` converts a value; its first argument is the key for error
+/// messages.
 fn by_joint<T>(
     name: &str,
     value: &Bound<'_, PyAny>,

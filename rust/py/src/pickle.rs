@@ -1,4 +1,4 @@
-//! Pickling of `Model` and `Controller`: a pickle holds a function of this module and its arguments.
+//! Pickling of `Model` and `Controller`: a pickle contains the name of a function of this module and its arguments.
 
 use pliant_core::Snapshot;
 use pyo3::prelude::*;
@@ -21,7 +21,7 @@ type Parts = (Py<Model>, Py<Settings>, Option<Py<Servos>>);
 /// The fields of a [`Snapshot`] as Python values: payload, gravity, payload ramp, delay, captured 1/k_g, state.
 type Numbers<'py> = (Option<Payload>, [f64; 3], Option<[f64; 5]>, f64, Option<Vec<f64>>, Bound<'py, PyAny>);
 
-/// Adds the functions that unpickling calls, as attributes that are not in `__all__`.
+/// Adds the functions that unpickling calls to the module, but not to `__all__`.
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.setattr("_model", wrap_pyfunction!(model, module)?)?;
     module.setattr("_controller", wrap_pyfunction!(controller, module)?)
@@ -68,5 +68,5 @@ fn controller(
     let state = vector("state", &state)?;
     let snapshot =
         Snapshot { payload: payload.map(|payload| payload.0), gravity, payload_ramp, delay, captured, state };
-    Controller::made(py, model, settings, servos, Some(&snapshot))
+    Controller::create(py, model, settings, servos, Some(&snapshot))
 }

@@ -21,7 +21,7 @@ pub(crate) struct PositionFilter {
 }
 
 impl PositionFilter {
-    /// Stores the plausible ones of the positions (N,); returns the mask of their joints.
+    /// Stores the plausible positions among `position` (N,); returns the mask of their joints.
     pub(crate) fn store(
         &mut self,
         position: &Bound<'_, PyAny>,

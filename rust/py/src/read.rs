@@ -1,5 +1,5 @@
-//! Reads arguments that are numbers, arrays or poses. C-ordered float64 arrays are copied directly; NumPy converts
-//! other objects, or they raise an error.
+//! Readers of arguments that are numbers, arrays or poses. C-ordered float64 arrays are copied directly; NumPy converts
+//! other objects.
 
 use numpy::{PyArrayDyn, PyArrayMethods, PyUntypedArrayMethods};
 use pliant_core::{JointVec, MAX_JOINTS, Pose as CorePose};
@@ -14,11 +14,11 @@ use crate::pose::Pose;
 /// Attributes and methods with which libraries expose a homogeneous matrix.
 const ACCESSORS: [&str; 4] = ["homogeneous", "as_matrix", "matrix", "A"];
 
-/// Error text for seven numbers in place of a pose.
+/// Expected shape of a pose, for the error about seven numbers.
 const SEVEN: &str = "(4, 4): seven numbers do not say whether w comes first or last; \
                      use pliant.Pose.from_wxyz(position, quaternion) or pliant.Pose.from_xyzw(position, quaternion)";
 
-/// Reads an array-like of real numbers; returns its shape and its values row by row. Booleans, complex numbers, text
+/// Reads an array-like of real numbers; returns its shape and its values, row-major. Booleans, complex numbers, text
 /// and masked arrays raise a `TypeError`.
 pub(crate) fn numbers(name: &str, value: &Bound<'_, PyAny>) -> PyResult<(Vec<usize>, Vec<f64>)> {
     let py = value.py();
@@ -77,7 +77,8 @@ pub(crate) fn joints(name: &str, value: &Bound<'_, PyAny>, n: usize) -> PyResult
     Ok(out)
 }
 
-/// Readers that are not inlined, for all functions but the quickest: each copy of a reader is half a kilobyte of code.
+/// Readers that are not inlined, for functions whose latency matters less: each inlined copy is half a kilobyte of
+/// code.
 pub(crate) mod compact {
     use super::{Bound, CorePose, JointVec, PyAny, PyResult};
 
@@ -119,7 +120,7 @@ pub(crate) fn matrix3(name: &str, value: &Bound<'_, PyAny>) -> PyResult<[[f64; 3
     Ok([[m[0], m[1], m[2]], [m[3], m[4], m[5]], [m[6], m[7], m[8]]])
 }
 
-/// Reads a matrix of any size; returns the number of rows, the number of columns, and the values row by row.
+/// Reads a matrix of any size; returns the number of rows, the number of columns, and the values, row-major.
 pub(crate) fn matrix(name: &str, value: &Bound<'_, PyAny>) -> PyResult<(usize, usize, Vec<f64>)> {
     let (got, values) = numbers(name, value)?;
     match got[..] {
@@ -139,8 +140,8 @@ pub(crate) fn vector(name: &str, value: &Bound<'_, PyAny>) -> PyResult<Vec<f64>>
 
 /// Reads a pose: 4×4 array, `Pose`, any object with a 4×4 accessor, or, if `position_only`, a position (3,).
 ///
-/// Does not check that the rotation is valid: the core does. Inlined, because the loads of a copy would wait for the
-/// stores just made.
+/// The core checks that the rotation is valid. Inlined, because a copy of the result would stall on the stores just
+/// made.
 #[inline(always)]
 pub(crate) fn pose(name: &str, value: &Bound<'_, PyAny>, position_only: bool) -> PyResult<CorePose> {
     match ndarray::first_numbers(value, &[4, 4]) {
@@ -158,8 +159,7 @@ fn pose_slowly(name: &str, value: &Bound<'_, PyAny>, position_only: bool) -> PyR
     }
 }
 
-/// Reads a `Pose`, or the pose of an object with a 4×4 accessor; `None` for other objects, which the caller reads as
-/// arrays.
+/// Reads a `Pose`, or the pose of an object with a 4×4 accessor; `None` for other objects, which may be arrays.
 pub(crate) fn pose_of_object(name: &str, value: &Bound<'_, PyAny>) -> PyResult<Option<CorePose>> {
     if let Ok(pose) = value.cast::<Pose>() {
         return Ok(Some(pose.get().0));
@@ -198,14 +198,14 @@ fn from_vec(name: &str, m: &[f64; 16]) -> PyResult<CorePose> {
     let row = |i: usize| [m[4 * i], m[4 * i + 1], m[4 * i + 2], m[4 * i + 3]];
     if m[12..].iter().zip([0.0, 0.0, 0.0, 1.0]).any(|(value, wanted): (&f64, f64)| value.to_bits() != wanted.to_bits())
     {
-        // The last row is not 0 0 0 1 to the bit, e.g. because of a signed zero: the core checks it with a tolerance.
+        // The last row is not exactly 0 0 0 1, e.g. because of a negative zero. The core checks it with a tolerance.
         return CorePose::from_rows_of(name, &[row(0), row(1), row(2), row(3)]).or_raise();
     }
     let rotation = |i: usize| [m[4 * i], m[4 * i + 1], m[4 * i + 2]];
     Ok(CorePose { rotation: [rotation(0), rotation(1), rotation(2)], position: [m[3], m[7], m[11]] })
 }
 
-/// Reads a number; if it is none, raises a `TypeError` with `expected`, which describes the number and its unit.
+/// Reads a number; for another object, raises a `TypeError` with the text `expected`, which names the unit.
 #[inline(never)]
 pub(crate) fn real(name: &str, expected: &str, value: &Bound<'_, PyAny>) -> PyResult<f64> {
     number(value).ok_or_else(|| wrong_type(name, expected, value))

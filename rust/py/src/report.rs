@@ -393,9 +393,9 @@ fn postures(got: &[usize], values: &[f64], n: usize) -> Option<Vec<Vec<f64>>> {
     }
 }
 
-/// Reads the argument `path_or_pose`. An array (4, 4) is a pose; for an arm with four joints, only if its last row is
-/// 0 0 0 1. Three numbers are a position if the task has no rotations and the arm has not three joints. Other arrays
-/// are postures (n,) or (N, n).
+/// Reads the argument `path_or_pose`. An array (4, 4) is a pose (for an arm of four joints only if its last row is 0 0
+/// 0 1). Three numbers are a position if the task has no rotations, unless the arm has three joints. Other arrays are
+/// postures (n,) or (N, n).
 fn checked(value: &Bound<'_, PyAny>, n: usize, position_only: bool) -> PyResult<Checked> {
     let name = "path_or_pose";
     if let Some(pose) = pose_of_object(name, value)? {
@@ -422,8 +422,8 @@ fn middle(model: &CoreModel) -> Vec<f64> {
     ranges.map(|(&low, &high)| if low.is_finite() && high.is_finite() { 0.5 * (low + high) } else { 0.0 }).collect()
 }
 
-/// Checks the settings along a path with [`analysis::check_path`], or in a pose with [`analysis::check_pose`], whose
-/// search starts at `q0` or, for `None`, at the middle of the joint ranges.
+/// Checks the settings along a path ([`analysis::check_path`]) or in a pose ([`analysis::check_pose`]). The search for
+/// a pose starts at `q0`; `None`: at the middle of the joint ranges.
 pub(crate) fn check_with(
     core: &CoreController,
     position_only: bool,

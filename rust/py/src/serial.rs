@@ -10,15 +10,16 @@ use pyo3::types::{PyBytes, PyList};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::{Errno, read, write};
 
-/// Number of bytes that one read discards, and largest number of such reads: a line that never rests is given up.
+/// Before a request, received bytes are discarded: at most this many per read, in at most this many reads. The number
+/// of reads is bounded because a noisy line may never be silent.
 const CHUNK: usize = 256;
 const MAX_DISCARDS: usize = 16;
 /// Longest timeout [s].
 const LONGEST: f64 = 60.0;
-/// Number of bytes of a reply of Protocol 1.0 without data: two of the header, id, length, status and checksum.
+/// Number of bytes of a reply packet of Protocol 1.0 without data: header (2), id, length, status, checksum.
 const OVERHEAD: usize = 6;
 
-/// Instructions of Protocol 1.0, and the id of a request to all servos.
+/// Instructions of Protocol 1.0, and the id that addresses all servos.
 const READ: u8 = 0x02;
 pub(crate) const SYNC_READ: u8 = 0x82;
 const BROADCAST: u8 = 0xfe;
@@ -27,28 +28,28 @@ const BROADCAST: u8 = 0xfe;
 #[derive(Debug)]
 pub(crate) struct Replies {
     bytes: Vec<u8>,
-    /// Bytes of a reply with the requested number of data bytes.
-    step: usize,
+    /// Length of a reply packet with the requested number of data bytes.
+    packet_len: usize,
     /// True if each servo has sent a valid packet with the requested number of data bytes.
-    pub(crate) is_whole: bool,
+    pub(crate) is_complete: bool,
 }
 
 impl Replies {
-    /// Returns data and status byte of each whole reply.
+    /// Returns data and status byte of each reply packet.
     pub(crate) fn packets(&self) -> impl Iterator<Item = (&[u8], u8)> {
-        self.bytes.chunks_exact(self.step).map(|packet| (&packet[OVERHEAD - 1..packet.len() - 1], packet[4]))
+        self.bytes.chunks_exact(self.packet_len).map(|packet| (&packet[OVERHEAD - 1..packet.len() - 1], packet[4]))
     }
 
-    /// Returns a list of data and status byte of each reply; the bytes, if the replies are not whole.
+    /// Returns a list with data and status byte of each reply; the received bytes if the replies are not complete.
     pub(crate) fn to_python<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        if !self.is_whole {
+        if !self.is_complete {
             return Ok(PyBytes::new(py, &self.bytes).into_any());
         }
-        let answers = PyList::empty(py);
+        let replies = PyList::empty(py);
         for (data, status) in self.packets() {
-            answers.append((PyBytes::new(py, data), status))?;
+            replies.append((PyBytes::new(py, data), status))?;
         }
-        Ok(answers.into_any())
+        Ok(replies.into_any())
     }
 }
 
@@ -64,16 +65,17 @@ pub(crate) fn exchange<'py>(
     data: Option<&Bound<'py, PyList>>,
     timeout: f64,
 ) -> PyResult<Bound<'py, PyAny>> {
-    transact(py, descriptor, instruction, [&ids, &block], data, timeout)?.to_python(py)
+    access_registers(py, descriptor, instruction, &ids, &block, data, timeout)?.to_python(py)
 }
 
-/// Sends a request about a block, its address and size, to the servos `ids`, with the data to write to each, and returns
-/// the replies; the interpreter lock is released.
-pub(crate) fn transact(
+/// Builds and sends a request to read or write the registers `block` (address, size) of the servos `ids`, with `data`
+/// to write to each, and returns the replies. Releases the interpreter lock.
+pub(crate) fn access_registers(
     py: Python<'_>,
     descriptor: i32,
     instruction: u8,
-    [ids, block]: [&[usize]; 2],
+    ids: &[usize],
+    block: &[usize],
     data: Option<&Bound<'_, PyList>>,
     timeout: f64,
 ) -> PyResult<Replies> {
@@ -94,33 +96,41 @@ pub(crate) fn transact(
     }
     request[3] = u8::try_from(request.len() - 3).map_err(too_large)?;
     request.push(!request[2..].iter().fold(0u8, |sum, byte| sum.wrapping_add(*byte)));
-    replies(py, descriptor, &request, if data.is_none() { &ids } else { &[] }, size, timeout)
+    send_request(py, descriptor, &request, if data.is_none() { &ids } else { &[] }, size, timeout)
 }
 
-/// Sends a request and returns the replies of the servos `ids` with `size` data bytes each; the interpreter lock is
-/// released.
-fn replies(py: Python<'_>, descriptor: i32, request: &[u8], ids: &[u8], size: u8, timeout: f64) -> PyResult<Replies> {
+/// Sends a request packet without the interpreter lock, and returns the replies of the servos `ids` with `size` data
+/// bytes each.
+fn send_request(
+    py: Python<'_>,
+    descriptor: i32,
+    request: &[u8],
+    ids: &[u8],
+    size: u8,
+    timeout: f64,
+) -> PyResult<Replies> {
     let timeout = Duration::from_secs_f64(timeout.clamp(0.0, LONGEST));
-    let step = OVERHEAD + usize::from(size);
-    let mut bytes = vec![0; ids.len() * step];
+    let packet_len = OVERHEAD + usize::from(size);
+    let mut bytes = vec![0; ids.len() * packet_len];
     let result = py.detach(|| {
         if descriptor < 0 {
             return Err(Errno::BADF);
         }
-        // SAFETY: the descriptor is not -1, and is used during this call only. A descriptor that Python closes meanwhile
-        // makes the calls fail, or reach another file of the program, but breaks no memory.
+        // SAFETY: the descriptor is not -1, and is used during this call only. A descriptor that Python closes
+        // meanwhile makes the calls fail, or reach another file of the program, but breaks no memory.
         let port = unsafe { BorrowedFd::borrow_raw(descriptor) };
-        transfer(port, request, ids, &mut bytes, timeout)
+        write_and_read(port, request, ids, &mut bytes, timeout)
     });
     let (received, is_wrong) = result.map_err(|errno| PyOSError::new_err((errno.raw_os_error(), "serial port")))?;
-    let is_whole = received == bytes.len() && !is_wrong;
+    let is_complete = received == bytes.len() && !is_wrong;
     bytes.truncate(received);
-    Ok(Replies { bytes, step, is_whole })
+    Ok(Replies { bytes, packet_len, is_complete })
 }
 
-/// Discards what has arrived, sends the request and reads the reply; returns the number of bytes of the reply, and true
-/// if a byte shows that the reply is not one packet of this size from each of the servos `ids`, which ends it.
-fn transfer(
+/// Discards received bytes, writes the request and reads the replies into `reply`, whose length is that of the expected
+/// packets. Returns the number of bytes read, and true if they are not a valid packet of the expected size from each of
+/// the servos `ids`; reading ends when this shows.
+fn write_and_read(
     port: BorrowedFd<'_>,
     request: &[u8],
     ids: &[u8],
@@ -145,7 +155,7 @@ fn transfer(
         };
         rest = rest.get(sent..).unwrap_or_default();
     }
-    // Silence ends the reply, and so does the time in which each servo may be silent once.
+    // Reading ends after `timeout` without a byte, and in any case after `timeout` for each servo.
     let last = Instant::now() + timeout * u32::try_from(ids.len()).unwrap_or(u32::MAX);
     let mut received = 0;
     while received < reply.len() && wait(port, PollFlags::IN, last.min(Instant::now() + timeout))? {
@@ -163,20 +173,21 @@ fn transfer(
     Ok((received, false))
 }
 
-/// Waits until the port can be read or written, or has failed; returns false if that is not so at time `end`.
+/// Waits until the port is ready for reading or writing (`flags`), or has failed; returns false if neither happens
+/// until `end`.
 fn wait(port: BorrowedFd<'_>, flags: PollFlags, end: Instant) -> Result<bool, Errno> {
     loop {
-        let left = end.saturating_duration_since(Instant::now());
-        let timeout = Timespec::try_from(left).map_err(|_| Errno::INVAL)?;
+        let remaining = end.saturating_duration_since(Instant::now());
+        let timeout = Timespec::try_from(remaining).map_err(|_| Errno::INVAL)?;
         match poll(&mut [PollFd::from_borrowed_fd(port, flags)], Some(&timeout)) {
-            Err(Errno::INTR) if left.is_zero() => return Ok(false),
+            Err(Errno::INTR) if remaining.is_zero() => return Ok(false),
             Err(Errno::INTR) => {}
             result => return Ok(result? > 0),
         }
     }
 }
 
-/// Reads what has arrived; an error at the end of the input: the port has vanished.
+/// Reads the bytes that have arrived; an error at the end of the input, because the port has then vanished.
 fn input(port: BorrowedFd<'_>, bytes: &mut [u8]) -> Result<usize, Errno> {
     match read(port, bytes) {
         Ok(0) => Err(Errno::IO),

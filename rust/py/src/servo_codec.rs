@@ -12,7 +12,7 @@ use crate::read::vector;
 #[cfg(unix)]
 use crate::serial;
 
-/// Number of numbers that describe registers, packets and units of a servo.
+/// Length of the list of numbers that describes registers, packets and units of a servo.
 const NUMBERS: usize = 9 * 3 + 2 * 2 + 20;
 
 #[doc = stub!(ServoCodec)]
@@ -26,8 +26,8 @@ pub(crate) struct ServoCodec {
 }
 
 impl ServoCodec {
-    /// Stores a reading of a servo requested at `time`, unless the last one is older than `longest` [s]; returns what
-    /// [`Self::decode`] reports of it, if anything.
+    /// Stores a reading of a servo that was requested at `time`, unless its last reading is older than `longest` [s].
+    /// Returns the value that [`Self::decode`] reports for it; `None` if it does not need attention.
     #[expect(clippy::option_option, reason = "a report, of which `None` is one of three values in Python")]
     fn store(
         &mut self,
@@ -66,7 +66,7 @@ impl ServoCodec {
         let Ok(numbers): Result<&[f64; NUMBERS], _> = numbers.as_slice().try_into() else {
             return Err(shape("numbers", &[numbers.len()], tuple(&[NUMBERS])));
         };
-        // Addresses, sizes and signs; what is no whole number becomes one.
+        // Addresses, sizes and signs; other numbers are truncated to integers.
         let whole = |i: usize| numbers[i] as i64;
         let mut registers = [Register::default(); 9];
         for (i, place) in registers.iter_mut().enumerate() {
@@ -156,10 +156,10 @@ impl ServoCodec {
         usual: bool,
     ) -> PyResult<Option<(Bound<'py, PyAny>, Bound<'py, PyList>)>> {
         let py = slf.py();
-        let replies = serial::transact(py, descriptor, serial::SYNC_READ, [&ids, &block], None, timeout)?;
+        let replies = serial::access_registers(py, descriptor, serial::SYNC_READ, &ids, &block, None, timeout)?;
         let notable = PyList::empty(py);
-        if replies.is_whole {
-            // Not before: while the interpreter lock is released, the codec may serve another port.
+        if replies.is_complete {
+            // Borrow the codec only now: while the interpreter lock was released, another port may have used it.
             let mut codec = slf.try_borrow_mut()?;
             for (i, (servo, (data, status))) in servos.into_iter().zip(replies.packets()).enumerate() {
                 if let Some(found) = codec.store(servo, data, status, block[0], [time, longest])? {

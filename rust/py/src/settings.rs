@@ -39,11 +39,11 @@ impl Settings {
         Self::changed(&self.0, &CoreSettings::default(), py)
     }
 
-    /// Creates a preset with the fields in `overrides` replaced. Axes and fields of a group that are not given keep the
-    /// values of the preset.
+    /// Creates a preset with the fields in `overrides` replaced. Axes, and fields of a group, that are not given keep
+    /// the values of the preset.
     ///
-    /// If `overrides` has a task, the preset's settings of axes outside that task are dropped. Those of the axes
-    /// `named` are kept, so that the validation reports a task without them.
+    /// If `overrides` has a task, the preset's settings of axes outside that task are dropped, except those of the axes
+    /// `named`: the validation then reports that the task lacks them.
     fn preset(mut core: CoreSettings, named: &str, overrides: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
         let Some(overrides) = overrides else { return Self::check(&core) };
         let rest = overrides.copy()?;
@@ -63,8 +63,8 @@ impl Settings {
         Self::with(core, Some(&rest))
     }
 
-    /// Creates a preset in which the axis `named` yields and also pushes; an error if the axis has no spring under law
-    /// `impedance`, since nothing would push then.
+    /// Creates a preset in which the axis `named` yields and pushes; an error if it has no spring under law
+    /// `impedance`, because it could not push then.
     fn driven(core: CoreSettings, named: &str, overrides: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
         let settings = Self::preset(core, named, overrides)?;
         let mut driven = settings.0.axes.iter().zip(parse_axes("axis", named).or_raise()?);

@@ -84,7 +84,7 @@ impl BatchState {
         if !one && got != [indices.len(), n] {
             return Err(shape("Q", &got, format!("({}, {n}), or ({n},) for all", indices.len())));
         }
-        // Check all rows first, so that an invalid one leaves every arm unchanged.
+        // Check all rows first, so that no arm changes if one row is invalid.
         let mut tried = CoreState::new(n, 1).or_raise()?;
         values.chunks_exact(n).try_for_each(|q| tried.reset(0, Some(q))).or_raise()?;
         let mut state = exclusive(slf)?;
@@ -205,7 +205,7 @@ impl<'py> BatchCall<'_, 'py> {
         let plain = parts.iter().find_map(|part| rows(targets, part).map(|count| (count, *part)));
         let (got, part) = match plain {
             Some(found) => found,
-            // Not a C-ordered float64 array (N, ...): one pose, or an object that NumPy converts.
+            // Not a C-ordered float64 array (N, ...): a single pose, or an object that NumPy converts.
             None => match numbers(name, targets) {
                 Ok((got, _)) if fits(&got).is_some() => (got[0], *fits(&got).unwrap_or(&parts[0])),
                 Ok((got, _)) if !matches!(got[..], [4, 4] | [3 | 7]) => {

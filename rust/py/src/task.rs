@@ -163,7 +163,7 @@ impl Kind for AxesField {
     }
 }
 
-/// Returns `axes` with those replaced that the mapping `value` names; an error if it names an axis twice.
+/// Returns `axes` with the entries of the mapping `value` replaced; an error if it names an axis twice.
 pub(crate) fn merged(
     name: &str,
     value: &Bound<'_, PyAny>,

@@ -1,4 +1,4 @@
-//! An arm to try the library on: servos that are springs with a limit, joints that are dampers without mass.
+//! Simulated arm for the examples: servos are springs with a torque limit, joints are dampers without inertia.
 
 use std::sync::Arc;
 
@@ -8,38 +8,39 @@ use pliant_core::{Model, ModelOptions, Reference, Result, Servos};
 /// Stiffness of every servo, k_p [N·m/rad].
 const STIFFNESS: f64 = 150.0;
 
-/// What gears and motors resist with [N·m·s/rad].
+/// Viscous damping of gears and motors [N·m·s/rad].
 const DAMPING: f64 = 3.0;
 
-/// Time between two steps [s], and the part of it that the simulation goes at once.
+/// Period of the control loop [s], and time step of the simulation [s].
 const TICK: f64 = 0.01;
 const STEP: f64 = 0.002;
 
-/// Where the arm begins [rad].
+/// Joint positions at the start [rad].
 pub(crate) const START: [f64; 7] = [-0.13, -0.60, 0.72, -1.74, 0.93, 0.68, -0.17];
 
-/// The built-in arm; yours comes from `Model::from_urdf_file`.
+/// Returns the built-in arm; for your own arm, use `Model::from_urdf_file`.
 pub(crate) fn model() -> Result<Arc<Model>> {
     let options = ModelOptions { tip: Some("tool".into()), ..ModelOptions::default() };
     Model::from_urdf_str(include_str!("../../robots/arm7.urdf"), &options).map(Arc::new)
 }
 
-/// What the controller is told of the servos; 10.7 N·m is what they can exert.
+/// Returns the servo parameters for the controller; their usable torque is 10.7 N·m.
 pub(crate) fn servos() -> Servos {
     Servos { damping: vec![DAMPING], stiffness_known: true, ..Servos::new(vec![STIFFNESS], vec![10.7]) }
 }
 
-/// Moves the joints for one tick: `q̇ = (clip(k_p (goal − q), ±limit) − g + JᵀF) / d`, F [N, N·m] pushing at the tool.
+/// Moves the joints for one tick: `q̇ = (clip(k_p (goal − q), ±limit) − g + JᵀF) / d`, with the external force F =
+/// `push` [N, N·m] at the tool.
 pub(crate) fn advance(model: &Model, q: &mut [f64], goal: &[f64], limit: &[f64], push: &Vector6<f64>) -> Result<()> {
-    let mut left = TICK;
-    while left > 0.5 * STEP {
+    let mut remaining = TICK;
+    while remaining > 0.5 * STEP {
         let (_, jacobian) = model.kinematics(q, Reference::WorldAligned)?;
-        let others = jacobian.transpose() * push - model.gravity(q)?;
+        let external = jacobian.transpose() * push - model.gravity(q)?;
         for (i, position) in q.iter_mut().enumerate() {
             let servo = (STIFFNESS * (goal[i] - *position)).clamp(-limit[i], limit[i]);
-            *position += STEP * (servo + others[i]) / DAMPING;
+            *position += STEP * (servo + external[i]) / DAMPING;
         }
-        left -= STEP;
+        remaining -= STEP;
     }
     Ok(())
 }

@@ -1,4 +1,4 @@
-//! Force with which a task axis resists a push, its friction, and the effect of the other axes on both.
+//! Force with which a task axis resists a push, the friction along it, and the effect of the other axes on that force.
 
 use crate::command::host_loss::TRAVEL;
 use crate::command::torque_limit::LimitTerms;
@@ -21,9 +21,10 @@ pub(super) struct StepAnalysis<'a> {
     params: &'a Params,
     settings: &'a Settings,
     record: &'a Diagnostics,
-    /// Activation matrix A of (10) under law `paper`, whose torque limits follow from it; otherwise `None`.
+    /// Activation matrix A, equation (10) of the paper, from which law `paper` computes its torque limits; `None` under
+    /// other laws.
     shares: Option<Activation<JointVec16>>,
-    /// Torque of each joint for the null-space motion, used by the sum rule [N·m]; 0 if the limits do not need it.
+    /// Torque of each joint for the null-space motion [N·m], which the rule `Sum` adds; 0 under other rules.
     null: JointVec,
 }
 
@@ -35,8 +36,8 @@ impl<'a> StepAnalysis<'a> {
         Self { params, settings, record, shares: shares.filter(|_| !params.law.by_force()), null }
     }
 
-    /// Returns the static friction along each axis j, `Σ_i |J⁺_ij| τ_f,i` [N, N·m], with the joint friction under the
-    /// gravity torques: a motion of the tool along the axis turns every joint i against its friction `τ_f,i`.
+    /// Returns the static friction along each axis j, `Σ_i |J⁺_ij| τ_f,i` [N, N·m]: a motion of the tool along the axis
+    /// turns every joint i against its friction `τ_f,i` under the gravity load.
     pub(super) fn friction(&self) -> AxisVec {
         let (params, record) = (self.params, self.record);
         let scaled = store_rows(&params.scale_rows(&load_rows::<JointVec16>(&record.rows)));
@@ -61,8 +62,8 @@ impl<'a> StepAnalysis<'a> {
         1.0 - (self.settings.compensation.friction * self.record.gamma).min(1.0)
     }
 
-    /// Returns the forces [N, N·m] at which axis `row`, pushed toward `side` (0: −, 1: +), yields at the deviations
-    /// `soft_until` and `firm_from` from its adapted target.
+    /// Returns the two forces [N, N·m] at which axis `row`, pushed toward `side` (0: −, 1: +), yields: at the
+    /// deviations `soft_until` and `firm_from` from its adapted target.
     pub(super) fn yield_forces_at(&self, row: usize, side: usize) -> [f64; 2] {
         let (params, record) = (self.params, self.record);
         let axis = &params.per_axis[row];
@@ -80,9 +81,9 @@ impl<'a> StepAnalysis<'a> {
         strengths.map(|max| self.capacity_with(row, side, max))
     }
 
-    /// Returns the force [N, N·m] with which law `cap` or `impedance` answers a deviation of `threshold` [m, rad] from
-    /// the adapted target (with `raw_deviation`: from the target), at most the strength. A deviation from the target
-    /// that exceeds the distance of a simulated push is reduced to that distance.
+    /// Returns the force [N, N·m], at most the strength, that law `cap` or `impedance` exerts at the deviation
+    /// `threshold` [m, rad] from the adapted target (with `raw_deviation`: from the target). The deviation from the
+    /// target is at most the distance of a simulated push.
     fn cap_at(&self, row: usize, side: usize, threshold: f64) -> f64 {
         let (params, record) = (self.params, self.record);
         let axis = &params.per_axis[row];
@@ -108,8 +109,8 @@ impl<'a> StepAnalysis<'a> {
         max.min(push.force())
     }
 
-    /// Returns the deviation [m, rad] at which a yielding axis exerts its full strength under law `cap` or `impedance`,
-    /// at most the distance of a simulated push.
+    /// Returns the deviation [m, rad], at most the distance of a simulated push, at which a yielding axis exerts its
+    /// full strength under law `cap` or `impedance`.
     pub(super) fn full_cap_deviation(&self, row: usize, side: usize) -> f64 {
         let axis = &self.params.per_axis[row];
         let travel = TRAVEL[usize::from(axis.axis >= 3)];
@@ -120,16 +121,16 @@ impl<'a> StepAnalysis<'a> {
         from.max(large / slope).min(travel)
     }
 
-    /// Returns the static force [N, N·m] that the torque limits hold along axis `row` if its strength is `max` and the
-    /// other axes keep theirs.
+    /// Returns the static force [N, N·m] that the torque limits hold along axis `row` if its strength were `max`; the
+    /// other axes keep their strengths.
     fn capacity_with(&self, row: usize, side: usize, max: f64) -> f64 {
         let mut all = self.record.axis_strength;
         all[row] = max;
         self.static_capacity(row, side, &all)
     }
 
-    /// Returns the static force [N, N·m] that the torque limits hold along the axis if its own strength is 0, and the
-    /// other axis that contributes most to it; `None` if no other axis contributes.
+    /// Returns the static force [N, N·m] that the torque limits would still hold along the axis if its own strength
+    /// were 0, and the other axis that contributes most to this force; `None` if no axis does.
     pub(super) fn coupling(&self, row: usize, side: usize) -> (f64, Option<usize>) {
         let mut max = self.record.axis_strength;
         max[row] = 0.0;

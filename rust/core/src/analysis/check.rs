@@ -15,13 +15,14 @@ use crate::math::rows::pad;
 use crate::params::{AXIS_NAMES, Frame};
 use crate::pose::Pose as ToolPose;
 
-/// Ratio of the smallest singular value σ_min to σ₀ of the damping below which a pose counts as near singular.
+/// A pose counts as near singular if its smallest singular value σ_min is below this share of σ₀, the threshold of the
+/// damping.
 pub(super) const NEAR_SINGULAR: f64 = 0.1;
 
-/// One requirement of the settings that the arm does not meet, or one note about a pose.
+/// One requirement of the settings that the arm does not meet, or a note about a pose.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Issue {
-    /// Index of the posture on the path in which the issue is worst.
+    /// Index of the posture on the path for which the requirement is missed most.
     pub pose: usize,
     /// Subject of the issue: an axis with its side (`+y`), a joint, `σ_min` or `target`.
     pub about: String,
@@ -46,20 +47,20 @@ pub struct FeasibilityReport {
     pub issues: Vec<Issue>,
     /// Names of the task axes; the entries of the vectors below follow this order.
     pub axes: Vec<&'static str>,
-    /// Static force that the servos' full usable torque holds along each axis against a push toward (−, +) [N, N·m],
-    /// the smallest over all postures.
+    /// Static force that the full usable torque holds along each axis against a push toward (−, +) [N, N·m]: the
+    /// smallest over all postures.
     pub capacity: Vec<[f64; 2]>,
     /// Index of the posture with the smallest `capacity` for each axis and side.
     pub worst_pose: Vec<[usize; 2]>,
-    /// Largest friction along each axis that the feed-forward does not compensate [N, N·m]; an axis with a smaller
-    /// `soft` cannot track.
+    /// Largest friction along each axis that the feed-forward does not compensate [N, N·m], over all postures; an axis
+    /// with a smaller `soft` cannot track a moving target.
     pub friction_left: Vec<f64>,
-    /// Smallest displacement at which a joint reaches its limit when the axis is pushed toward (−, +) [m, rad]; ∞ if no
-    /// joint does within 0.15 m or 0.4 rad, and for sides that do not yield.
+    /// Smallest displacement of each axis, pushed toward (−, +), at which a joint reaches its position limit [m, rad];
+    /// ∞ if no joint does within 0.15 m or 0.4 rad, and for sides that do not yield.
     pub stop_distance: Vec<[f64; 2]>,
     /// Smallest singular value of the scaled task rows over all postures.
     pub sigma_min: f64,
-    /// Index of the posture with the value `sigma_min`.
+    /// Index of the posture with the singular value `sigma_min`.
     pub sigma_pose: usize,
     /// Smallest [`AxisReport::path_sigma`](crate::AxisReport::path_sigma) of each axis and side over all postures; ∞
     /// for sides that do not yield.
@@ -190,8 +191,8 @@ pub fn check_path(controller: &Controller, path: &[Vec<f64>]) -> Result<Feasibil
     })
 }
 
-/// Checks the settings in a pose of the tool. The joint positions are found by inverse kinematics from `q0` (n) [rad];
-/// a pose that the arm cannot reach is reported as an issue.
+/// Checks the settings in a pose of the tool, whose joint positions are found by inverse kinematics from `q0` (n)
+/// [rad]. A pose out of reach is an issue, not an error.
 ///
 /// # Errors
 /// As [`Controller::step`].

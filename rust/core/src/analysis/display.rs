@@ -15,11 +15,11 @@ pub(super) fn unit(axis: usize) -> &'static str {
 }
 
 /// Formats a displacement along task axis `axis`: in mm for translations (0 to 2), in rad for rotations (3 to 5).
-pub(super) fn length(axis: usize, value: f64) -> String {
+pub(super) fn displacement(axis: usize, value: f64) -> String {
     if axis < 3 { format!("{:.0} mm", 1e3 * value) } else { format!("{} rad", number(value)) }
 }
 
-/// Formats a number: three decimals below 0.1, two below 1, one below 100, none above, `∞` for infinity.
+/// Formats a number: three decimals below 0.1, two below 1, one below 100, else none; `∞` for infinities.
 pub(super) fn number(value: f64) -> String {
     match value.abs() {
         size if size.is_infinite() => "∞".into(),
@@ -39,11 +39,11 @@ impl AxisReport {
         if self.is_translation() { "N" } else { "N·m" }
     }
 
-    fn length(&self, value: f64) -> String {
-        length(if self.is_translation() { 0 } else { 3 }, value)
+    fn formatted_displacement(&self, value: f64) -> String {
+        displacement(if self.is_translation() { 0 } else { 3 }, value)
     }
 
-    /// Adds the sentences about this axis to `out`; sides with the same strength sentence share one.
+    /// Appends the sentences about this axis to `out`; if both sides have the same strength, one sentence for both.
     fn summary(&self, report: &PoseReport, out: &mut Vec<String>) {
         let sentences = [0, 1].map(|side| self.strength_sentence(report, side));
         if sentences[0] == sentences[1] {
@@ -74,17 +74,18 @@ impl AxisReport {
         if self.yields[side] {
             let friction = format!("(friction: {} {unit})", number(self.friction));
             clauses.push(if (small - large).abs() > 0.02 * small.abs().max(large.abs()) {
-                let far = self.length(self.thresholds[1].min(TRAVEL[usize::from(!self.is_translation())]));
+                let far =
+                    self.formatted_displacement(self.thresholds[1].min(TRAVEL[usize::from(!self.is_translation())]));
                 format!("gives way at {} {unit}, at {} {unit} from {far} on {friction}", number(small), number(large))
             } else {
                 format!("gives way at {} {unit} {friction}", number(small))
             });
-            let (min_soft, held) = match (report.law, self.coupled_to[side]) {
+            let (min_soft, condition) = match (report.law, self.coupled_to[side]) {
                 (Law::Paper, Some(other)) => (self.coupling[side].max(0.0), format!(" while {other} is held")),
                 (Law::Paper, None) => (self.coupling[side].max(0.0), String::new()),
                 _ => (self.friction_left, String::new()),
             };
-            clauses.push(format!("cannot be softer than {} {unit}{held}", number(min_soft)));
+            clauses.push(format!("cannot be softer than {} {unit}{condition}", number(min_soft)));
         } else {
             clauses.push(format!("holds up to {} {unit}", number(large)));
         }
@@ -94,8 +95,8 @@ impl AxisReport {
         clauses.join("; ") + "."
     }
 
-    /// Returns a sentence about the position limit that stops a push toward `side`; `None` without such a limit or if
-    /// the side does not yield.
+    /// Returns a sentence about the position limit that stops a push toward `side`; `None` if there is no such limit,
+    /// or if the side does not yield.
     fn stop_sentence(&self, report: &PoseReport, side: usize) -> Option<String> {
         let stop = self.stop[side].filter(|_| self.yields[side])?;
         let from = if stop.margin > 1e-6 {
@@ -114,12 +115,12 @@ impl AxisReport {
             let (friction, unit) = (number(stop.friction), self.unit());
             format!("the stop takes its part and the other joints add {friction} {unit} of friction")
         };
-        let (joint, distance) = (&report.joints[stop.joint], self.length(stop.distance));
+        let (joint, distance) = (&report.joints[stop.joint], self.formatted_displacement(stop.distance));
         Some(format!("{}{}: {joint} {from} {distance}, {then}.", SIDES[side], self.name))
     }
 
-    /// Returns a sentence about the singular pose that a push toward `side` approaches; `None` if it does not, or if
-    /// the side does not yield.
+    /// Returns a sentence about the singular pose that a push toward `side` approaches; `None` if there is no such
+    /// pose, or if the side does not yield.
     fn path_sentence(&self, report: &PoseReport, side: usize) -> Option<String> {
         let (sigma, distance) = (self.path_sigma[side], self.path_distance[side]);
         let near = self.yields[side] && distance > 0.0 && sigma < NEAR_SINGULAR * report.sigma_0;
@@ -128,7 +129,7 @@ impl AxisReport {
                 "{}{}: pushed by {} the arm is near a singular pose: σ_min is {} instead of {}, and joint friction is {} {}.",
                 SIDES[side],
                 self.name,
-                self.length(distance),
+                self.formatted_displacement(distance),
                 number(sigma),
                 number(report.sigma_min),
                 number(self.path_friction[side]),
@@ -146,17 +147,17 @@ impl AxisReport {
             (false, true) => SIDES[1],
             (false, false) => return None,
         };
-        let does = match self.on_deviation_limit {
+        let reaction = match self.on_deviation_limit {
             OnDeviationLimit::Wait => "the whole target waits",
             OnDeviationLimit::Yield => "its target comes along",
         };
-        let far = self.length(minus.min(plus));
-        Some(format!("{side}{}: pushed farther than {far} off its target, {does}.", self.name))
+        let far = self.formatted_displacement(minus.min(plus));
+        Some(format!("{side}{}: pushed farther than {far} off its target, {reaction}.", self.name))
     }
 }
 
 impl PoseReport {
-    /// Returns sentences about the strength of each axis, each problem found, and the forces after a host loss.
+    /// Returns one sentence per axis on its strength, one per problem, and one on the forces after a host loss.
     pub fn summary(&self) -> Vec<String> {
         let mut out = Vec::new();
         for axis in &self.axes {
@@ -190,41 +191,43 @@ impl PoseReport {
         out
     }
 
-    /// Iterates over both sides of each axis, + first, with the sign as text and the force after a host loss.
+    /// Iterates over both sides of each axis, + first; yields the axis, the sign as text and the force after a host
+    /// loss.
     fn host_loss_forces(&self) -> impl Iterator<Item = (&AxisReport, &'static str, f64)> {
         self.axes.iter().flat_map(|axis| [1, 0].map(|side| (axis, SIDES[side], axis.host_loss_force[side])))
     }
 
     fn host_loss_sentence(&self) -> String {
-        let (mut moved, mut fixed) = (Vec::new(), Vec::new());
+        let (mut finite_forces, mut blocked_sides) = (Vec::new(), Vec::new());
         for (axis, sign, force) in self.host_loss_forces() {
             if force.is_finite() {
-                moved.push(format!("{sign}{} {} {}", axis.name, number(force), axis.unit()));
+                finite_forces.push(format!("{sign}{} {} {}", axis.name, number(force), axis.unit()));
             } else {
-                fixed.push(format!("{sign}{}", axis.name));
+                blocked_sides.push(format!("{sign}{}", axis.name));
             }
         }
         let mut sentence = "After a host loss now, the servos keep their goals and limits".to_owned();
-        if !moved.is_empty() {
+        if !finite_forces.is_empty() {
             let _ = write!(
                 sentence,
                 ": a hand that moves the tool by {} mm or {} rad from there meets at most {}",
                 1e3 * TRAVEL[0],
                 TRAVEL[1],
-                moved.join(", ")
+                finite_forces.join(", ")
             );
         }
-        if !fixed.is_empty() {
+        if !blocked_sides.is_empty() {
             let _ = write!(
                 sentence,
                 "; it cannot move it so far along {}: the arm is stretched out or at a stop",
-                fixed.join(", ")
+                blocked_sides.join(", ")
             );
         }
         sentence + "."
     }
 
-    /// Returns a sentence if host-loss forces exceed their bound, because the torque limits must hold the arm.
+    /// Returns a sentence about host-loss forces above their bound; `None` if there are none. The torque limits cannot
+    /// be lower, because they hold the arm.
     fn host_loss_above_bound(&self) -> Option<String> {
         let max = self.max_host_loss_force?;
         let over: Vec<String> = self
@@ -239,17 +242,17 @@ impl PoseReport {
     }
 
     fn joint_sentence(&self, flags: &[bool], what: &str, out: &mut Vec<String>) {
-        let named: Vec<&str> =
+        let names: Vec<&str> =
             self.joints.iter().zip(flags).filter(|(_, on)| **on).map(|(name, _)| name.as_str()).collect();
-        if !named.is_empty() {
-            out.push(format!("Now {what}: {}.", named.join(", ")));
+        if !names.is_empty() {
+            out.push(format!("Now {what}: {}.", names.join(", ")));
         }
     }
 }
 
 impl fmt::Display for PoseReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        writeln!(f, "axis      gives way    held by limits   torque ends   host loss   friction left  unit")?;
+        writeln!(f, "axis      gives way   limits hold   servos hold     host loss  friction left  unit")?;
         for axis in &self.axes {
             for side in [1, 0] {
                 let [small, large] = axis.yield_force[side].map(number);

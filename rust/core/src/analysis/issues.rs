@@ -1,14 +1,14 @@
 //! Creates the issues of a feasibility check from the worst values along a path.
 
 use crate::analysis::check::{Issue, NEAR_SINGULAR};
-use crate::analysis::display::{length, number, unit};
+use crate::analysis::display::{displacement, number, unit};
 use crate::analysis::push_path::PathResult;
 use crate::controller::Controller;
 use crate::math::rounding::{round_down, round_up};
 use crate::params::AXIS_NAMES;
 
-/// Largest value found along a path, and the index of its posture. A quantity whose minimum is the worst is stored with
-/// the opposite sign.
+/// Largest value along a path, and the index of its posture. A quantity whose smallest value is the worst is stored
+/// negated.
 #[derive(Clone, Copy)]
 pub(super) struct Worst {
     pub(super) value: f64,
@@ -25,12 +25,12 @@ impl Worst {
     }
 }
 
-/// Smallest singular value (negated) among the points of largest friction of a path's pushes, with the push that reaches
-/// it and the friction along the axis at the start of that push [N, N·m].
+/// Smallest [`PathResult::sigma`] (negated) over the postures of a path, with that push and the friction along the axis
+/// at its start [N, N·m].
 pub(super) type PathSingularity = (Worst, Option<(PathResult, f64)>);
 
-/// Negative of the smallest displacement at which a push reaches a joint stop [m, rad]; with the index of the joint and
-/// the deviation at which the axis exerts its full strength [m, rad].
+/// Smallest displacement at which a push reaches a joint stop [m, rad] (negated) over the postures of a path, with the
+/// index of the joint and the deviation at which the axis exerts its full strength [m, rad].
 pub(super) type PathStop = (Worst, Option<(usize, f64)>);
 
 pub(super) fn joint_issues(
@@ -76,11 +76,11 @@ pub(super) fn joint_issues(
     out
 }
 
-/// Adds an issue for each side on which a push reaches a joint stop before the axis exerts its full strength: from
-/// there the stop adds its force.
+/// Adds an issue for each side on which a push reaches a joint stop before the axis exerts its full strength; the force
+/// of the stop then adds to that of the axis.
 pub(super) fn stop_issues(controller: &Controller, r: usize, near: [PathStop; 2], out: &mut Vec<Issue>) {
     if !controller.params.law.by_force() {
-        return; // The strengths of law `paper` are torque budgets, not forces that a stop adds to.
+        return; // The strengths of law `paper` are torque budgets, which do not compare with the force of a stop.
     }
     let axis = controller.params.per_axis[r].axis;
     let name = AXIS_NAMES[axis];
@@ -95,8 +95,8 @@ pub(super) fn stop_issues(controller: &Controller, r: usize, near: [PathStop; 2]
                     "{} meets its position limit when the axis is pushed by {}, before it gives its whole cap at {}: \
                      from there the stop takes part of a push",
                     controller.model().joint_names()[joint],
-                    length(axis, distance),
-                    length(axis, full)
+                    displacement(axis, distance),
+                    displacement(axis, full)
                 ),
                 setting: None,
                 value: None,
@@ -105,8 +105,8 @@ pub(super) fn stop_issues(controller: &Controller, r: usize, near: [PathStop; 2]
     }
 }
 
-/// Adds an issue for each side on which a push leads closer to a singular pose, with a smallest singular value below
-/// [`NEAR_SINGULAR`] times σ₀.
+/// Adds an issue for each side on which a push leads to a point that is near singular: with a smallest singular value
+/// below [`NEAR_SINGULAR`] times σ₀.
 pub(super) fn path_issues(controller: &Controller, r: usize, past: [PathSingularity; 2], out: &mut Vec<Issue>) {
     let (axis, least) = (controller.params.per_axis[r].axis, NEAR_SINGULAR * controller.params.damping.sigma_0);
     for (side, (worst, what)) in past.into_iter().enumerate() {
@@ -118,7 +118,7 @@ pub(super) fn path_issues(controller: &Controller, r: usize, past: [PathSingular
                 reason: format!(
                     "pushed by {} the arm is near a singular pose (σ_min {}, below {}), where joint friction along \
                      the axis is {} {unit} instead of {} {unit}",
-                    length(axis, push.at),
+                    displacement(axis, push.at),
                     number(push.sigma),
                     number(least),
                     number(push.friction),

@@ -1,4 +1,4 @@
-//! Capabilities of an arm with its settings, in one pose or on a path. These functions allocate memory and take much
+//! Capabilities of an arm under its settings, in one pose or on a path. These functions allocate memory and take much
 //! longer than a control step.
 
 mod axis_strength;

@@ -16,37 +16,37 @@ use crate::{JointVec, MAX_AXES, MAX_JOINTS};
 /// Number of steps in which a push is simulated.
 const STEPS: u8 = 15;
 
-/// Damping of the simulated motion, relative to the largest diagonal entry of `J K_p⁻¹ Jᵀ`: bounds the joint motion
-/// near singular poses.
+/// Damping that bounds the simulated joint motion near singular poses, relative to the largest diagonal entry of `J
+/// K_p⁻¹ Jᵀ`.
 const DAMPING: f64 = 1e-7;
 
-/// If the largest friction on the path is more than this factor times the friction at its start, the steps on both sides
-/// of the largest friction are subdivided: a singular pose may lie between two samples.
+/// A singular pose may lie between two samples. If the largest friction on the path exceeds this factor times the
+/// friction at its start, the steps on both sides of it are subdivided.
 const REFINE_RATIO: f64 = 1.5;
 
-/// Number of parts into which such a step is subdivided.
+/// Number of parts into which a step is subdivided.
 const PARTS: u8 = 8;
 
-/// Damping λ of the pseudo-inverse from which the friction is computed, relative to the Frobenius norm of the task
-/// rows: at a singular pose the friction is large, not ∞.
+/// Damping λ, relative to the Frobenius norm of the task rows, of the pseudo-inverse from which the friction is
+/// computed. With it, the friction at a singular pose is large, but finite.
 const FRICTION_DAMPING: f64 = 1e-3;
 
-/// Ratio of smallest to largest singular value of the task rows at or below which the joints count as unable to move
-/// all task axes.
+/// If the ratio of the smallest to the largest singular value of the task rows is not above this, the joints count as
+/// unable to move all task axes.
 const SINGULAR: f64 = 1e-3;
 
 /// First position limit that a joint reaches during a push along one task axis.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct JointStop {
-    /// Displacement of the axis at which the joint reaches its limit [m, rad]; on a shorter push the stop carries no
-    /// force.
+    /// Displacement of the axis at which the joint reaches its limit [m, rad]. Beyond it the stop carries part of the
+    /// push.
     pub distance: f64,
     /// Index of the joint that reaches its limit.
     pub joint: usize,
     /// Distance of that joint from its limit at the start of the push [rad; m if prismatic]; 0 if it is beyond.
     pub margin: f64,
     /// Friction `Σ_i |J⁺_ij| τ_f,i` of the other joints along the axis at the stop [N, N·m]; ∞ if they cannot move all
-    /// task axes, so that the stop carries all force beyond the strength of the axis.
+    /// task axes. The stop then carries all force beyond the strength of the axis.
     pub friction: f64,
 }
 

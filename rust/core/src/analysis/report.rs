@@ -1,6 +1,6 @@
 //! Report on the capabilities of an arm with its settings in one pose.
 //!
-//! Pairs of numbers hold one number per direction of a push: first toward −, then toward +.
+//! Pairs have one number per direction of a push: toward −, then toward +.
 
 use crate::command::host_loss::HostLoss;
 use crate::controller::{Controller, StepInput};
@@ -30,15 +30,15 @@ pub struct PoseReport {
     pub q: Vec<f64>,
     /// Torque limit of each joint in this pose [N·m].
     pub torque_limit: Vec<f64>,
-    /// Torque that the limit L leaves beside the gravity torque g to resist a push of the joint toward (−, +): `L − g`,
-    /// `L + g` [N·m]. Negative if the joint cannot hold its load.
+    /// Torque with which each joint can resist a push toward (−, +) [N·m]: torque limit L beyond gravity torque g, `L −
+    /// g` and `L + g`. Negative if the joint cannot hold its load.
     pub gravity_margin: Vec<[f64; 2]>,
     /// Smallest singular value of the task rows, with translations divided by the arm's length.
     pub sigma_min: f64,
     /// Condition number of the scaled task rows: ratio of largest to smallest singular value.
     pub condition: f64,
-    /// Singular value σ₀ below which the adaptive damping grows. A pose whose σ_min is below a tenth of it is reported
-    /// as near singular.
+    /// Singular value σ₀ below which the adaptive damping grows. A pose with σ_min below σ₀ / 10 is reported as near
+    /// singular.
     pub sigma_0: f64,
     /// True for joints whose torque limit is at the servo's usable torque.
     pub saturated: Vec<bool>,
@@ -48,10 +48,10 @@ pub struct PoseReport {
     pub prismatic: Vec<bool>,
     /// Bound on [`AxisReport::host_loss_force`] along translations [N]; `None` if the settings have none.
     pub max_host_loss_force: Option<f64>,
-    /// Factor ≤ 1 by which the loop delay reduces the gain K_x; under law `impedance`, the factor by which delay and
-    /// pose reduce the stiffness.
+    /// Factor ≤ 1 on the gain K_x, required by the loop delay; under law `impedance` on the stiffness, required by
+    /// delay and pose.
     pub gain_factor: f64,
-    /// Factor ≤ 1 by which delay and pose reduce the damping of law `impedance`; 1 under the other laws.
+    /// Factor ≤ 1 on the damping of law `impedance`, required by delay and pose; 1 under the other laws.
     pub damping_factor: f64,
 }
 
@@ -62,14 +62,14 @@ pub struct AxisReport {
     pub name: &'static str,
     /// Largest static force that the present torque limits L hold against a push toward (−, +):
     /// `min_i (L_i + s_i g_i) / |a_i|` with the gravity torques g, the levers `a = Jᵀd` of the push direction d, and
-    /// `s_i = sign(a_i)`. Negative if the arm cannot hold itself.
+    /// `s_i = sign(a_i)`. Negative if the arm cannot hold its own weight.
     pub static_force: [f64; 2],
     /// Largest static force that the servos' full usable torque holds against a push toward (−, +).
     pub capacity: [f64; 2],
     /// True if the axis yields to a push toward (−, +).
     pub yields: [bool; 2],
-    /// Force at which the axis yields to a push toward (−, +), without joint friction: at the two deviations of
-    /// `thresholds`, each at most 0.15 m or 0.4 rad.
+    /// Forces at which the axis yields to a push toward (−, +), without joint friction: for each side, at the two
+    /// deviations `thresholds`, which are bounded here to 0.15 m or 0.4 rad.
     pub yield_force: [[f64; 2]; 2],
     /// Deviations between which the strength changes, d⁻/(1 − η) and d⁺/(1 − η), with the settings `soft_until` d⁻,
     /// `firm_from` d⁺ and `adaptation` η.
@@ -87,11 +87,11 @@ pub struct AxisReport {
     pub coupled_to: [Option<&'static str>; 2],
     /// Strength of the axis against pushes to which it does not yield.
     pub hold: f64,
-    /// Default of `hold`, if a larger `soft` or `firm` raised `hold` above it; otherwise `None`.
+    /// Default of `hold` before a larger `soft` or `firm` raised it; `None` if they did not.
     pub default_hold: Option<f64>,
-    /// Largest force on a hand that pushes the tool along the axis after a host loss in this state: from the arm's
-    /// equilibrium by 0.15 m at 25 mm/s, or by 0.4 rad at 0.067 rad/s, gear friction and damping included. ∞ if the arm
-    /// cannot move so far because it is stretched out or at stops.
+    /// Largest force on a hand that pushes the tool toward (−, +) after a host loss in this state, with gear friction
+    /// and damping. The push starts at the arm's equilibrium and moves 0.15 m at 25 mm/s, or 0.4 rad at 0.067 rad/s. ∞
+    /// if the arm cannot move so far because it is stretched out or at stops.
     pub host_loss_force: [f64; 2],
     /// First position limit that a joint reaches when the axis is pushed toward (−, +) and the other task axes keep
     /// their positions; `None` if no joint reaches one within 0.15 m or 0.4 rad.
@@ -103,8 +103,8 @@ pub struct AxisReport {
     pub path_sigma: [f64; 2],
     /// Displacement of the axis at the point where `path_friction` occurs.
     pub path_distance: [f64; 2],
-    /// Deviation, pushed toward (−, +), beyond which the target waits or follows the tool; ∞ without such a limit and
-    /// toward sides that yield.
+    /// Deviation, pushed toward (−, +), beyond which the target waits or follows the tool; ∞ without a limit and for
+    /// sides that yield.
     pub deviation_limit: [f64; 2],
     /// Behaviour of the target beyond the deviation limit.
     pub on_deviation_limit: OnDeviationLimit,
@@ -152,7 +152,7 @@ pub fn report_at(controller: &Controller, q: &[f64]) -> Result<PoseReport> {
 pub(super) fn at_rest(controller: &Controller, q: &[f64]) -> Result<Controller> {
     let at = controller.model().joints_within("q", q, COORDINATE_BOUND)?;
     let mut copy = controller.clone();
-    // Without slew limit, this one step moves the goals to the values that they have at rest.
+    // Without a speed limit of the goals, one step moves them to the values that they have at rest.
     copy.settings.tracking.goal_slew = f64::INFINITY;
     copy.reset(q)?;
     let mut frames = JointFrames::default();

@@ -11,14 +11,14 @@ use crate::model::Model;
 use crate::params::{Servos, Settings, joint_space};
 use crate::{AxisVec, MAX_AXES};
 
-/// Ratio of strength to static friction with which an axis tracks a moving target. The axis must overcome this friction
-/// at starts and reversals, before the feed-forward acts. Measured with sinusoidal targets: a ratio of 2 is enough if
-/// the friction is known exactly, 3 if it is known to 30 % and measurement and command are each delayed by one step;
-/// with 1 the axis lags, below 1 it does not move.
+/// Ratio of strength to static friction with which an axis tracks a moving target. The axis must overcome static
+/// friction at starts and reversals, before the feed-forward acts. Measured with sinusoidal targets: with a ratio below
+/// 1 the axis does not move, with 1 it lags; 2 is enough if the friction is known exactly, 3 if it is known within 30 %
+/// and measurement and command are each delayed by one step.
 const TRACKING_FRICTION_RATIO: f64 = 3.0;
 
-/// Returns the settings with `soft` of every yielding axis raised to at least three times its static friction (law
-/// `paper`: once), because a softer axis may not track a moving target.
+/// Returns the settings with `soft` of every yielding axis raised to at least three times its static friction (under
+/// law `paper`: to at least that friction), because a softer axis may not track a moving target.
 ///
 /// Uses the largest friction over the postures (n) [rad] of `path`; for an empty path, the median over the arm's joint
 /// space. Raises `firm` and `hold` where they would be smaller than `soft`.
@@ -71,7 +71,7 @@ pub fn raise_soft(
 }
 
 /// Returns the strength that each axis needs to track a moving target from rest at `q` [N, N·m]: three times its static
-/// friction; once under law `paper`, whose strengths are torque budgets, not forces.
+/// friction; under law `paper`, whose strengths are torque budgets, the static friction.
 fn min_tracking_strength(controller: &Controller, q: &[f64]) -> Result<AxisVec> {
     let resting = at_rest(controller, q)?;
     let record = resting.diagnostics();

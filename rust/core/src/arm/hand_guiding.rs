@@ -1,9 +1,9 @@
 //! Hand guiding: the arm feels weightless and rests when released; k_p need not be exact.
 //!
-//! First, the caller swings each joint slowly up and down. The lead (goal − q) of the two directions differs: its mean
-//! lead₀ holds the joint against the gravity torque g₀, and half the difference is the friction ρ. Both are in rad and
-//! independent of k_p. Then the goals follow the arm with a play, like a drive with backlash. Per joint, with the
-//! predicted position q̂, the filtered speed v, the viscous damping d and `c = ½ (c_low + c_high)`:
+//! First the caller moves each joint slowly up and down (the swing). The leads (goal − q) in the two directions differ:
+//! their mean lead₀ holds the joint against the gravity torque g₀, and half their difference is the friction ρ. Both
+//! are in rad and independent of k_p. Then the goals follow the arm with a play, like a drive with backlash. Per joint,
+//! with the predicted position q̂, the filtered speed v, the viscous damping d and `c = ½ (c_low + c_high)`:
 //!
 //! ```text
 //! anchor = clip(anchor, q̂ − w, q̂ + w)
@@ -11,10 +11,10 @@
 //! w      = w₀ (1 − 0.9 tanh |v|/v₀) + ½ (c_high − c_low) |g − g₀|
 //! ```
 //!
-//! [c_low, c_high] is the interval that contains the compliance 1/k_p. The play w grows by the possible error of the
-//! lead, so a wrong k_p can let the arm sag within the play but cannot make it drift. When the arm rests after a
-//! motion, its lead is known within the friction ρ and the least play; this narrows the interval, and the play shrinks
-//! during the next motion.
+//! The interval from c_low to c_high contains the compliance 1/k_p. The play w grows by the possible error of the lead,
+//! so a wrong k_p can let the arm sag within the play but cannot make it drift. When the arm rests after a motion, its
+//! lead is known within the friction ρ and the least play w₀. This narrows the interval, and the play shrinks during
+//! the next motion.
 
 use std::sync::Arc;
 
@@ -38,13 +38,13 @@ const PREDICTION_SHARE: f64 = 0.9;
 const FRICTION_SPEED: f64 = 0.05;
 /// Time constant of the speed filter [s].
 const SPEED_FILTER: f64 = 0.02;
-/// Share of its least play w₀ that a fast joint loses.
+/// Share of the least play w₀ by which the play of a fast joint is reduced.
 const PLAY_LOSS: f64 = 0.9;
 /// Time without motion after which the arm counts as at rest [s].
 const REST_TIME: f64 = 0.4;
 /// Smallest change of a joint position that counts as motion [rad]; at least 1.1 encoder counts are required.
 const MIN_MOTION: f64 = 5e-4;
-/// Assumed error of the lead measured in the swing, relative to the friction ρ.
+/// Assumed error of the lead measured in the swing, as a share of the friction ρ.
 const LEAD_ERROR_SHARE: f64 = 0.15;
 /// Time constant with which the excess play decreases while a joint moves [s].
 const SHRINK_TIME: f64 = 0.5;
@@ -52,25 +52,26 @@ const SHRINK_TIME: f64 = 0.5;
 const MIN_PLAY: f64 = 2e-3;
 /// Lower bound on the least play w₀, in encoder counts.
 const MIN_PLAY_COUNTS: f64 = 1.5;
-/// Lower bound on the least play w₀, relative to the friction ρ.
+/// Lower bound on the least play w₀, as a share of the friction ρ.
 const MIN_PLAY_FRICTION: f64 = 0.15;
 /// Largest speed of the goals [rad/s].
 const MAX_GOAL_SPEED: f64 = 3.0;
-/// Longest time by which one step moves the goals [s]; a longer time counts as this one.
+/// Largest time step of one call [s]; a longer `dt` is clamped to it.
 const MAX_STEP: f64 = 1.0;
-/// Longest delay, as in [`Controller::set_delay`](crate::Controller::set_delay) [s].
+/// Largest valid delay [s], as in [`Controller::set_delay`](crate::Controller::set_delay).
 const MAX_DELAY: f64 = 0.5;
 
-/// Measurements of a slow swing of the joints up and down, and the arm at its end; vectors have n entries.
+/// Measurements of the swing, a slow motion of the joints up and down, and state of the arm after it. Vectors have n
+/// entries.
 #[derive(Debug, Clone, Copy)]
 pub struct SwingResult<'a> {
     /// Joint positions at the end of the swing [rad].
     pub q: &'a [f64],
     /// Goals at the end of the swing [rad].
     pub goal: &'a [f64],
-    /// True for joints that swung; the lead of the others is computed from the assumed k_p.
+    /// True for joints that moved in the swing. The lead of the other joints is computed from the assumed k_p.
     pub swung: &'a [bool],
-    /// Mean of the leads (goal − q) in the motions up and down [rad]; 0 for a joint that did not swing.
+    /// Mean of the leads (goal − q) in the motions up and down [rad]; 0 for a joint that did not move in the swing.
     pub lead: &'a [f64],
     /// Friction as a lead: half the difference of the leads in the motions up and down [rad].
     pub friction: &'a [f64],
@@ -79,13 +80,13 @@ pub struct SwingResult<'a> {
 /// Options of [`HandGuiding`].
 #[derive(Debug, Clone, Copy)]
 pub struct HandGuidingOptions {
-    /// Factor ≥ 1 by which the true k_p may be larger or smaller than the assumed one.
+    /// Factor ≥ 1 by which the true k_p may differ from the assumed k_p in either direction.
     pub stiffness_error: f64,
     /// Time from the reading to the arrival of the goal [s].
     pub delay: f64,
-    /// Part of the torque limit beyond what the joint needs against gravity, relative to the usable torque.
+    /// Torque limit beyond what gravity requires, as a share of the usable torque.
     pub torque_share: f64,
-    /// Payload in addition to the model's: mass [kg], then mass times centre of mass in the tool frame [kg·m].
+    /// Payload in addition to that of the model: mass [kg], then mass times centre of mass in the tool frame [kg·m].
     pub payload_moments: [f64; 4],
 }
 
@@ -130,15 +131,15 @@ pub struct HandGuiding {
     high: JointVec,
     /// Lead (goal − q) that holds the joint against the torque `gravity` [rad].
     lead: JointVec,
-    /// Friction as the lead that overcomes it [rad].
+    /// Lead that overcomes the friction [rad].
     friction: JointVec,
-    /// Gravity torque where `lead` was measured [N·m]; 0 for a joint that did not swing.
+    /// Gravity torque at which `lead` was measured [N·m]; 0 for a joint that did not move in the swing.
     gravity: JointVec,
     /// Least play w₀ [rad].
     min_play: JointVec,
     /// Play w in this tick [rad].
     play: JointVec,
-    /// Part of the play that keeps the goals unchanged after a correction at rest; it decreases with motion [rad].
+    /// Additional play that keeps the goals in place after a correction at rest [rad]; it decreases with motion.
     excess_play: JointVec,
     anchor: JointVec,
     goal: JointVec,
@@ -152,18 +153,17 @@ pub struct HandGuiding {
     learnt_q: JointVec,
     /// Time since the last motion [s].
     rest_time: f64,
-    /// True if the arm has moved far enough since the last correction for another one.
+    /// True if the arm has moved far enough since the last correction for a further correction.
     has_moved: bool,
 }
 
 impl HandGuiding {
-    /// Starts hand guiding from the result of a swing. `servos` holds the assumed k_p; `damping` (n) [N·m·s/rad] is the
+    /// Starts hand guiding from the result of a swing. `servos` gives the assumed k_p; `damping` (n) [N·m·s/rad] is the
     /// sum of the joints' viscous damping, derivative gain and back-EMF.
     ///
     /// # Errors
     /// [`Error::Shape`] if a vector does not have n entries; [`Error::OutOfRange`] for a number that is not finite, or
-    /// an option out of range;
-    /// [`Error::Config`] if the servos do not fit the model.
+    /// an option out of range; [`Error::Config`] if the servos do not fit the model.
     pub fn new(
         model: Arc<Model>,
         servos: &Servos,
@@ -220,7 +220,8 @@ impl HandGuiding {
                 }
             }
             guiding.min_play[i] = MIN_PLAY.max(MIN_PLAY_COUNTS * count).max(MIN_PLAY_FRICTION * friction[i]);
-            // A joint that swung rests in the middle of its friction band; the anchor of another keeps its goal.
+            // A joint that moved in the swing rests in the middle of its friction band. The anchor of any other joint
+            // is such that its goal does not change.
             let carrying = lead[i] + 0.5 * (guiding.low[i] + guiding.high[i]) * (gravity[i] - guiding.gravity[i]);
             guiding.anchor[i] = if swing.swung[i] { q[i] } else { goal[i] - carrying };
             guiding.excess_play[i] = ((guiding.anchor[i] - q[i]).abs() - guiding.min_play[i]).max(0.0);
@@ -228,7 +229,7 @@ impl HandGuiding {
         Ok(guiding)
     }
 
-    /// Returns the interval that contains k_p as known so far [N·m/rad]: lower ends (n), then upper ends (n).
+    /// Returns lower bounds (n), then upper bounds (n) on k_p [N·m/rad], as known so far.
     pub fn stiffness(&self) -> [Vec<f64>; 2] {
         [&self.high, &self.low].map(|compliance| compliance[..self.n].iter().map(|c| 1.0 / c).collect())
     }
@@ -265,7 +266,7 @@ impl HandGuiding {
             let lead = self.lead[i] + 0.5 * (self.low[i] + self.high[i]) * change;
             let uncertainty = 0.5 * (self.high[i] - self.low[i]) * change.abs();
             let direction = (self.speed[i] / FRICTION_SPEED).tanh();
-            // A correction learnt at rest takes effect only with motion, so that no goal moves at rest.
+            // A correction learnt at rest takes effect with motion only, so that no goal moves at rest.
             self.excess_play[i] *= 1.0 - direction.abs() * (dt / SHRINK_TIME).min(1.0);
             self.play[i] = self.min_play[i] * (1.0 - PLAY_LOSS * direction.abs()) + uncertainty + self.excess_play[i];
             self.anchor[i] = self.anchor[i].max(ahead[i] - self.play[i]).min(ahead[i] + self.play[i]);
@@ -282,7 +283,7 @@ impl HandGuiding {
         Ok(Command::new(self.n, self.goal, limit, [f64::INFINITY; MAX_JOINTS]))
     }
 
-    /// Narrows the interval of 1/k_p when the arm rests after a motion; the goals do not move.
+    /// Narrows the interval of 1/k_p once the arm rests after a motion; the goals do not move.
     fn learn_at_rest(&mut self, q: &JointVec, dt: f64) {
         let has_moved_by =
             |from: &JointVec, least: &dyn Fn(usize) -> f64| (0..self.n).any(|i| (q[i] - from[i]).abs() > least(i));
@@ -300,21 +301,21 @@ impl HandGuiding {
         for i in 0..self.n {
             let change = gravity[i] - self.gravity[i];
             let (before, uncertainty) = (self.low[i] + self.high[i], 0.5 * (self.high[i] - self.low[i]) * change.abs());
-            let (gained, band) = (self.goal[i] - q[i] - self.lead[i], self.friction[i] + self.min_play[i]);
+            let (lead_change, band) = (self.goal[i] - q[i] - self.lead[i], self.friction[i] + self.min_play[i]);
             if change != 0.0 {
-                self.narrow(i, (gained - band) / change, (gained + band) / change);
+                self.narrow(i, (lead_change - band) / change, (lead_change + band) / change);
             }
-            // The anchor compensates the change of the lead, so that the goal stays.
+            // The anchor compensates the change of the lead, so that the goal does not change.
             self.anchor[i] += 0.5 * (before - self.low[i] - self.high[i]) * change;
             self.excess_play[i] = self.excess_play[i].max(uncertainty);
         }
     }
 
-    /// Intersects the interval of 1/k_p of joint i with the interval between `one` and `other`.
+    /// Intersects the interval of 1/k_p of joint i with the interval from `a` to `b`, in either order.
     ///
-    /// If the intersection is empty, e.g. under a hand that leans on the arm or an unknown payload, the interval stays.
-    fn narrow(&mut self, i: usize, one: f64, other: f64) {
-        let (low, high) = (self.low[i].max(one.min(other)), self.high[i].min(one.max(other)));
+    /// If the intersection is empty, e.g. because a hand leans on the arm, the interval does not change.
+    fn narrow(&mut self, i: usize, a: f64, b: f64) {
+        let (low, high) = (self.low[i].max(a.min(b)), self.high[i].min(a.max(b)));
         if low < high {
             (self.low[i], self.high[i]) = (low, high);
         }
@@ -330,7 +331,7 @@ impl HandGuiding {
         }
     }
 
-    /// Returns the torques that hold the arm at q with the model's and the additional payload [N·m].
+    /// Returns the torques [N·m] that hold the arm at q with the payload of the model and the additional payload.
     fn holding_torque(&self, q: &JointVec) -> JointVec {
         let mut torques = holding_torque(&self.model, &self.masses, q);
         let [mass, moments @ ..] = self.options.payload_moments;

@@ -1,21 +1,22 @@
 //! Following of joint targets, of a leader arm or a policy, with the force of the tool bounded along x, y and z.
 //!
-//! The goals follow the targets in joint space, so that every joint goes where its target goes, also near a singular
-//! pose. The torque limits carry the weight and the largest forces F_a along the base axes. Per joint i, with the
-//! reference r, the gravity torque g, the friction ρ, and the damping d, which includes back-EMF:
+//! The goals follow the targets in joint space, so every joint follows its own target, also near a singular pose. The
+//! torque limits carry the weight and the largest forces F_a along the base axes. Per joint i, with the reference r,
+//! the gravity torque g, the friction ρ, the usable torque τ_max, and the damping d, which includes back-EMF:
 //!
 //! ```text
 //! r′   = r + s (q_target − r)                          with s ≤ 1 so that tool and joints keep their speed limits
-//! v    = low-pass((r′ − r) / dt); of a joint that the clip holds back, at most its own speed
-//! f_i  = maxₐ F_a max(|J_ai|, l |J_ωai|) + ρ_i
+//! v    = low-pass((r′ − r) / dt); of a joint that the clip holds back, at most its measured speed
+//! f_i  = min(maxₐ F_a max(|J_ai|, l |J_ωai|) + ρ_i, τ_max,i)
 //! r    = clip(r′, q ± f / k_p)
 //! goal = r + (g + b_d d v + b_f ρ tanh(v / v₀)) / k_p
-//! limit_i = |g_i| + f_i + b_d |d_i v_i|
+//! limit_i = min(|g_i| + f_i + b_d |d_i v_i|, τ_max,i)
 //! ```
 //!
-//! The clip keeps the goal no farther from the joint than its torque needs, so that an arm that was held back starts to
-//! return at once. Its lead in the direction of motion fades near the speed limits, because a soft servo stores energy
-//! in its lead. A joint that moves the tool point little, such as a wrist's roll, is measured at the lever l from it.
+//! The clip keeps the reference no farther from the joint than the torque f requires, so an arm that was held back
+//! starts to return at once. The clip in the direction of motion narrows near the speed limits, because a soft servo
+//! stores energy in its lead. For a joint that moves the tool point little, such as the roll of a wrist, the force acts
+//! at the lever l.
 
 use std::sync::Arc;
 
@@ -33,23 +34,23 @@ const FRICTION_SHARE: f64 = 0.8;
 const DAMPING_SHARE: f64 = 0.8;
 /// Speed v₀ in the friction feed-forward `tanh(v/v₀)` [rad/s].
 const FRICTION_SPEED: f64 = 0.1;
-/// Time constant of the low-pass of the reference's speed [s]: targets come in steps, 30 a second.
+/// Time constant of the low-pass of the reference's speed [s]. It smooths targets that arrive at 30 Hz only.
 const SPEED_FILTER: f64 = 0.03;
-/// Distance l from the tool point at which the forces also hold [m]: about the length of a finger.
+/// Distance l [m] from the tool point up to which the force bounds apply; about the length of a finger.
 const LEVER: f64 = 0.1;
-/// Time constant of the low-pass of the joints' speeds [s].
-const OWN_SPEED_FILTER: f64 = 0.02;
-/// Share of the speed limits from which the lead that accelerates the arm fades.
+/// Time constant of the low-pass of the measured joint speeds [s].
+const MEASURED_SPEED_FILTER: f64 = 0.02;
+/// Share of the speed limits above which the lead that accelerates the arm decreases.
 const FADE_FROM: f64 = 0.8;
-/// Share of the speed limits at which that lead is 0.
+/// Share of the speed limits at which the lead that accelerates the arm is 0.
 const FADE_TO: f64 = 1.2;
-/// Longest time by which one step moves the reference [s].
+/// Largest time step of one call [s]; a longer `dt` is clamped to it.
 const LONGEST_STEP: f64 = 0.1;
 
 /// Options of [`JointFollower`].
 #[derive(Debug, Clone, Copy)]
 pub struct JointFollowerOptions {
-    /// Largest force of the tool along x, y and z of the base [N]; ∞: the servos' usable torque.
+    /// Largest force at the tool along x, y and z of the base [N]; ∞: limited by the servos' usable torque only.
     pub max_force: [f64; 3],
     /// Speed limit of the tool point [m/s]; ∞ for none.
     pub max_tool_speed: f64,
@@ -91,14 +92,14 @@ pub struct JointFollower {
     reference: Option<JointVec>,
     /// Low-passed speed v of the reference [rad/s].
     speed: JointVec,
-    /// Low-passed speeds of the joints [rad/s].
-    own_speed: JointVec,
-    /// Positions in the last step [rad]; `None` before the first.
+    /// Low-passed measured speeds of the joints [rad/s].
+    measured_speed: JointVec,
+    /// Positions in the last step [rad]; `None` before the first step.
     last_q: Option<JointVec>,
 }
 
 impl JointFollower {
-    /// Creates a follower that starts from the first position it measures.
+    /// Creates a follower that starts from the positions of its first step.
     ///
     /// # Errors
     /// [`Error::OutOfRange`] for an option out of range; [`Error::Config`], [`Error::Shape`] if the servos do not fit
@@ -124,7 +125,7 @@ impl JointFollower {
             damping: std::array::from_fn(|i| damping[i] + kv[i] + max_torque[i] / no_load[i]),
             reference: None,
             speed: [0.0; MAX_JOINTS],
-            own_speed: [0.0; MAX_JOINTS],
+            measured_speed: [0.0; MAX_JOINTS],
             last_q: None,
         })
     }
@@ -150,7 +151,7 @@ impl JointFollower {
     /// [`Error::Shape`] if q does not have n entries; [`Error::OutOfRange`] if one is not finite.
     pub fn reset(&mut self, q: &[f64]) -> Result<()> {
         self.reference = Some(finite_joint_vector("q", self.n, q)?);
-        (self.speed, self.own_speed, self.last_q) = ([0.0; MAX_JOINTS], [0.0; MAX_JOINTS], None);
+        (self.speed, self.measured_speed, self.last_q) = ([0.0; MAX_JOINTS], [0.0; MAX_JOINTS], None);
         Ok(())
     }
 
@@ -169,7 +170,7 @@ impl JointFollower {
         let mut rows: Rows = [[0.0; MAX_JOINTS]; MAX_AXES];
         self.model.kinematics_into(&q[..self.n], Reference::WorldAligned, &mut rows)?;
         let gravity = holding_torque(&self.model, &self.masses, &q);
-        self.update_own_speed(&q, dt);
+        self.update_measured_speed(&q, dt);
         let fade = self.lead_fade(&rows);
         let before = self.reference.unwrap_or(q);
         let moved = self.toward(&before, &target, &rows, dt);
@@ -178,13 +179,13 @@ impl JointFollower {
         for i in 0..self.n {
             let force = self.force_torque(&rows, i).min(self.max_torque[i]);
             let lead = force / self.kp[i];
-            let (back, ahead) = if self.own_speed[i] > 0.0 { (lead, fade * lead) } else { (fade * lead, lead) };
+            let (back, ahead) = if self.measured_speed[i] > 0.0 { (lead, fade * lead) } else { (fade * lead, lead) };
             reference[i] = moved[i].max(q[i] - back).min(q[i] + ahead);
-            let wanted = (moved[i] - before[i]) / dt;
+            let requested_rate = (moved[i] - before[i]) / dt;
             let is_clipped = (reference[i] - moved[i]).abs() > f64::EPSILON;
             // A blocked joint gets no feed-forward for a motion that it does not make.
-            let made = self.own_speed[i].max(wanted.min(0.0)).min(wanted.max(0.0));
-            let rate = if is_clipped { made } else { wanted };
+            let actual_rate = self.measured_speed[i].max(requested_rate.min(0.0)).min(requested_rate.max(0.0));
+            let rate = if is_clipped { actual_rate } else { requested_rate };
             self.speed[i] += (rate - self.speed[i]) * share;
             let viscous = DAMPING_SHARE * self.damping[i] * self.speed[i];
             let dry = FRICTION_SHARE * self.friction[i] * (self.speed[i] / FRICTION_SPEED).tanh();
@@ -195,35 +196,37 @@ impl JointFollower {
         Ok(Command::new(self.n, goal, limit, [self.options.max_joint_speed; MAX_JOINTS]))
     }
 
-    /// Updates the low-passed speeds of the joints.
-    fn update_own_speed(&mut self, q: &JointVec, dt: f64) {
+    /// Updates the low-passed measured speeds of the joints.
+    fn update_measured_speed(&mut self, q: &JointVec, dt: f64) {
         let last = self.last_q.unwrap_or(*q);
         for i in 0..self.n {
-            self.own_speed[i] += ((q[i] - last[i]) / dt - self.own_speed[i]) * dt / (OWN_SPEED_FILTER + dt);
+            let rate = (q[i] - last[i]) / dt;
+            self.measured_speed[i] += (rate - self.measured_speed[i]) * dt / (MEASURED_SPEED_FILTER + dt);
         }
     }
 
-    /// Returns the share of a lead that accelerates the arm: 1 up to `FADE_FROM` of the speed limits, 0 from `FADE_TO`.
+    /// Returns the factor on a lead that accelerates the arm: 1 up to `FADE_FROM` of the speed limits, 0 from `FADE_TO`
+    /// on.
     fn lead_fade(&self, rows: &Rows) -> f64 {
-        let fastest = self.own_speed.iter().fold(0.0_f64, |most, speed| most.max(speed.abs()));
+        let fastest = self.measured_speed.iter().fold(0.0_f64, |max, speed| max.max(speed.abs()));
         let ratio = (fastest / self.options.max_joint_speed)
-            .max(self.tool_path(rows, &self.own_speed) / self.options.max_tool_speed);
+            .max(self.tool_path(rows, &self.measured_speed) / self.options.max_tool_speed);
         ((FADE_TO - ratio) / (FADE_TO - FADE_FROM)).clamp(0.0, 1.0)
     }
 
-    /// Returns the length of the tool point's path for small joint motions, or its speed for joint speeds [m, m/s].
+    /// Returns the distance that the tool point moves for small joint motions [m], or its speed for joint speeds [m/s].
     fn tool_path(&self, rows: &Rows, joints: &JointVec) -> f64 {
         (0..3).map(|axis| (0..self.n).map(|i| rows[axis][i] * joints[i]).sum::<f64>().powi(2)).sum::<f64>().sqrt()
     }
 
-    /// Returns the reference moved straight toward the targets, within the speed limits of tool and joints.
+    /// Moves the reference `from` straight toward the targets for `dt`, within the speed limits of tool and joints.
     fn toward(&self, from: &JointVec, target: &JointVec, rows: &Rows, dt: f64) -> JointVec {
         let (lower, upper) = (self.model.lower(), self.model.upper());
         let mut gap = [0.0; MAX_JOINTS];
         for i in 0..self.n {
             gap[i] = target[i].max(lower[i]).min(upper[i]) - from[i];
         }
-        let largest = gap.iter().fold(0.0_f64, |most, step| most.max(step.abs()));
+        let largest = gap.iter().fold(0.0_f64, |max, step| max.max(step.abs()));
         let path = self.tool_path(rows, &gap);
         let mut share = 1.0_f64;
         if largest > self.options.max_joint_speed * dt {
@@ -235,15 +238,15 @@ impl JointFollower {
         std::array::from_fn(|i| share.mul_add(gap[i], from[i]))
     }
 
-    /// Returns the torque of joint i for the largest force along any base axis, plus its friction [N·m].
+    /// Returns the torque [N·m] of joint i for the force bound of the base axis that loads it most, plus its friction.
     fn force_torque(&self, rows: &Rows, i: usize) -> f64 {
-        let mut most = 0.0_f64;
+        let mut max = 0.0_f64;
         for (axis, &force) in self.options.max_force.iter().enumerate() {
             if force.is_infinite() {
                 return self.max_torque[i];
             }
-            most = most.max(force * rows[axis][i].abs().max(LEVER * rows[axis + 3][i].abs()));
+            max = max.max(force * rows[axis][i].abs().max(LEVER * rows[axis + 3][i].abs()));
         }
-        most + self.friction[i]
+        max + self.friction[i]
     }
 }

@@ -1,8 +1,9 @@
-//! Functions of an arm beside the controller: descent, hand guiding, following of joint targets, the filter of measured
-//! positions, the limits of commands with the thermal model of the servos, and the registers of servos on a bus.
+//! Operation of an arm without the controller: descent, hand guiding, following of joint targets, the filter of
+//! measured positions, the limits of commands with the thermal model of the servos, and the registers of servos on a
+//! bus.
 //!
-//! Each is called once per tick and does not allocate in that call. Except for the thermal limits, they
-//! measure joint positions only.
+//! Each is called once per tick and does not allocate in that call. Except for the thermal model and the registers,
+//! they use measured joint positions only.
 
 mod command_limiter;
 mod hand_guiding;
@@ -25,9 +26,9 @@ pub use position_filter::PositionFilter;
 pub use servo_codec::{Decoded, MAX_PACKET, Register, ServoCodec, ServoReading, ServoUnits};
 pub use thermal::{ThermalModel, ThermalOptions};
 
-/// Largest |number| in a joint vector; larger ones would overflow in squares and rates.
+/// Largest absolute value in a joint vector; larger numbers could overflow in squares and rates.
 const MAX_VALUE: f64 = 1e6;
-/// Lower bound on the time between two steps [s]; a shorter time counts as this one.
+/// Lower bound on the time between two steps [s]; a shorter `dt` is raised to it.
 const MIN_STEP: f64 = 1e-6;
 
 /// Copies n numbers into a joint vector; returns an error for another length or a number outside ±[`MAX_VALUE`].

@@ -95,8 +95,8 @@ impl PositionFilter {
         &self.jump
     }
 
-    /// Stores assumed positions (N) [rad] at `time` [s] for the joints that have not been read yet; the first reading of
-    /// each replaces its assumed position, however far it lies from it.
+    /// Stores assumed positions (N) [rad] at `time` [s] for the joints that have not been read yet; the first reading
+    /// of each replaces its assumed position, however far it lies from it.
     pub fn assume(&mut self, position: &[f64], time: f64) {
         for i in 0..self.max_speed.len().min(position.len()) {
             if self.last[i] == f64::NEG_INFINITY {
@@ -105,10 +105,11 @@ impl PositionFilter {
         }
     }
 
-    /// Stores the plausible ones of the positions (N) [rad]; returns true for their joints (N).
+    /// Checks the positions (N) [rad] of a reading and stores the plausible ones. Returns a mask (N): true for joints
+    /// whose position was stored.
     ///
-    /// `ok` (N) is true for the joints that were read in this cycle, `time` (N) holds the sample times [s]. Joints
-    /// beyond the shortest of the slices are not read.
+    /// `ok` (N) is true for the joints that were read in this cycle; `time` (N) are the sample times [s]. Joints beyond
+    /// the shortest of the slices count as not read.
     pub fn update(&mut self, position: &[f64], ok: &[bool], time: &[f64]) -> &[bool] {
         self.accepted.fill(false);
         let n = self.max_speed.len().min(position.len()).min(ok.len()).min(time.len());

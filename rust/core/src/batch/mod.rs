@@ -1,4 +1,4 @@
-//! Control steps of many arms at once: one row of input, output and state per arm, computed in chunks on all cores.
+//! Control steps of many arms at once, in chunks on all cores; one row of input, output and state per arm.
 
 pub(crate) mod state;
 
@@ -18,7 +18,7 @@ use crate::{JointVec, MAX_AXES, MAX_JOINTS};
 
 pub use state::BatchState;
 
-/// Arms per chunk, the work of one task; a batch of at most one chunk runs on the caller's thread.
+/// Number of arms per chunk, the unit of work of a thread. A batch of at most one chunk runs on the caller's thread.
 const CHUNK: usize = 64;
 
 /// Targets of `N` arms.
@@ -35,7 +35,7 @@ pub enum Targets<'a> {
 /// Handling of an arm whose positions, target or velocity are invalid.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum OnInvalid {
-    /// Return the error of the first such row; the states of all arms stay unchanged.
+    /// Return the error of the first invalid row; the states of all arms stay unchanged.
     #[default]
     Error,
     /// Write NaN as the command of that arm and leave its state unchanged; step the other arms.
@@ -53,16 +53,16 @@ pub struct BatchInput<'a> {
     pub dt: Option<f64>,
     /// Joint velocities (`N` × n) [rad/s]; `None`: filtered from the positions.
     pub dq: Option<&'a [f64]>,
-    /// Force caps (`N` × 6) of the axes x, y, z, roll, pitch, yaw [N, N·m; N·m under law `paper`], at every deviation;
-    /// NaN for axes that do not yield. `None`: those of the settings.
+    /// Force caps (`N` × 6) of the axes x, y, z, roll, pitch, yaw [N, N·m; N·m under law `paper`], valid at every
+    /// deviation; NaN for axes that do not yield. `None`: the caps of the settings.
     pub caps: Option<&'a [f64]>,
-    /// Adaptation η (`N` × 6) of these axes; NaN for axes that do not yield. `None`: that of the settings.
+    /// Adaptation η (`N` × 6) of the same axes; NaN for axes that do not yield. `None`: the values of the settings.
     pub adaptation: Option<&'a [f64]>,
     /// Handling of arms whose input is invalid.
     pub invalid: OnInvalid,
 }
 
-/// Output arrays for the commands of `N` arms, one row (n) per arm, as in [`Command`](crate::Command).
+/// Output arrays (`N` × n) for the commands of `N` arms; quantities as in [`Command`](crate::Command).
 #[derive(Debug)]
 pub struct BatchCommand<'a> {
     /// Goals of the position servos [rad].
@@ -101,8 +101,8 @@ impl ArmInput<'_> {
 }
 
 impl<'a> BatchInput<'a> {
-    /// Creates the input from measured joint positions `q` (`N` × n, row by row) [rad] and targets, without optional
-    /// values. The step checks the lengths.
+    /// Creates the input from measured joint positions `q` (`N` × n, row-major) [rad] and targets; optional values are
+    /// `None`. The step checks the lengths.
     pub fn new(q: &'a [f64], targets: Targets<'a>) -> Self {
         Self { q, targets, dt: None, dq: None, caps: None, adaptation: None, invalid: OnInvalid::default() }
     }
@@ -137,8 +137,8 @@ impl<'a> Batch<'a> {
         Ok(count)
     }
 
-    /// Checks the input and the state of every arm; returns the error of the first invalid row. Called before a step
-    /// changes any state.
+    /// Checks the input and the state of every arm before any state changes; returns the error of the first invalid
+    /// row.
     pub(crate) fn check_rows(&self, rows: &[f64]) -> Result<()> {
         let (n, first) = (self.model.n(), FirstError::default());
         let check = |(index, rows): (usize, &[f64])| {
@@ -166,9 +166,9 @@ impl<'a> Batch<'a> {
         first.result()
     }
 
-    /// Steps all arms. `make` creates the controller that a thread uses for its chunks; `step` steps one arm with it,
-    /// from the row of its state, and writes goal, torque limit and speed. An arm whose step fails gets a command of
-    /// NaN. `is_checked`: [`Self::check_rows`] has found no error.
+    /// Steps all arms. `make` creates the controller that a thread uses for its chunks. With it, `step` steps one arm
+    /// from the row of its state and writes goal, torque limit and speed. If that fails, the command of the arm is NaN.
+    /// `is_checked`: [`Self::check_rows`] has found no error.
     pub(crate) fn run<A>(
         &self,
         is_checked: bool,

@@ -13,45 +13,45 @@ pub(crate) const fn row_len(n: usize) -> usize {
 /// Number of values of a pose: rotation matrix and position.
 const POSE: usize = 12;
 
-/// Status flags of an arm; their sum is element 0 of its row. The sum 0 marks an arm that is not started: its next step
-/// resets it to the measured positions.
+/// Status flags of an arm; their sum is element 0 of its row. With the sum 0, no step has run: the next step resets the
+/// arm to its measured positions.
 #[derive(Clone, Copy)]
 pub(crate) enum Flag {
     /// At least one reset or step has run.
     Started = 1,
-    /// The singular vectors must be computed from scratch.
+    /// The singular vectors must be computed without those of a previous step.
     Cold = 2,
-    /// The row holds torque limits, from which the next ones are slewed.
+    /// The row contains torque limits, from which the next limits may rise only at a bounded rate.
     Limited = 4,
-    /// The row holds only joint positions, to which the next step resets the arm.
+    /// The row contains only joint positions, to which the next step resets the arm.
     Reset = 8,
 }
 
-/// Status of an arm whose state is in a row.
+/// Status of one arm, read from its row.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum RowStatus<'a> {
-    /// Not started: the next step resets the arm to its measured positions.
+    /// No step has run: the next step resets the arm to its measured positions.
     New,
     /// The next step resets the arm to these positions (n) [rad].
     Reset(&'a [f64]),
-    /// At least one step has run; the row holds the state after it.
+    /// The row contains the state after the last step.
     Running,
 }
 
 /// State of many arms for [`Controller::step_batch`](crate::Controller::step_batch): `8 (52 + 7 n)` bytes per arm.
 ///
-/// Any controller of arms with the same number of joints can continue with it. The first step of an arm resets it to
-/// its measured positions, or to those given to [`BatchState::reset`].
+/// Any controller of an arm with the same number of joints can continue from it. The first step of an arm resets it to
+/// its measured positions, or to the positions given to [`BatchState::reset`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct BatchState {
     n: usize,
     rows: Vec<f64>,
-    /// Settings of the last step; the next step with other settings resets the parts of the state that depend on them.
+    /// Settings of the last step. A step with different settings resets the parts of the state that depend on them.
     pub(crate) settings: Option<Box<Settings>>,
 }
 
 impl BatchState {
-    /// Creates the state of `count` arms of `n` joints, none of them started.
+    /// Creates the state of `count` arms of `n` joints before their first step.
     ///
     /// # Errors
     /// [`Error::OutOfRange`] for an invalid number of joints, or for more arms than memory can hold.
@@ -80,7 +80,7 @@ impl BatchState {
         Ok(Self { rows: numbers, ..empty })
     }
 
-    /// Returns the whole state. Only the same version of this crate can read it.
+    /// Returns the numbers of all rows. Only the same version of this crate can interpret them.
     pub fn as_slice(&self) -> &[f64] {
         &self.rows
     }
@@ -119,7 +119,7 @@ impl BatchState {
         Ok(())
     }
 
-    /// Returns the rows of all arms; an error if the state is not one of `count` arms of `n` joints.
+    /// Returns the rows of all arms; an error if the state is not that of `count` arms of `n` joints.
     pub(crate) fn rows_of(&mut self, n: usize, count: usize) -> Result<&mut [f64]> {
         let got = self.len();
         if self.n != n || got != count {
@@ -151,7 +151,7 @@ impl<'a> RowStatus<'a> {
         }
     }
 
-    /// Resets an arm in its `row`: to `q` [rad]; `None`: to the measured positions of its next step.
+    /// Marks the arm of `row` for a reset to `q` [rad]; `None`: to the measured positions of its next step.
     pub(crate) fn reset_row(row: &mut [f64], q: Option<&[f64]>) {
         row.fill(0.0);
         if let (Some(q), Some((first, rest))) = (q, row.split_first_mut()) {

@@ -1,4 +1,4 @@
-//! Goals of the servos: their parts, the bounds at position limits, and the slew.
+//! Goals of the servos: their parts, their bounds at position limits, and their rate limit (slew).
 
 use crate::MAX_AXES;
 use crate::command::DEFAULT_OFFSET_LIMIT;
@@ -10,15 +10,16 @@ use crate::params::{Params, Settings};
 use crate::task::ArmState;
 use crate::task::demand::AxisDemand;
 
-/// Distance beyond a position limit [rad] over which an outward lead fades to zero; longer if the loop delay requires a
-/// smaller slope.
+/// Distance beyond a position limit [rad] over which an outward lead fades to zero. The distance is longer if the loop
+/// delay requires a smaller slope.
 const STOP_WIDTH: f64 = 0.02;
 
-/// Reduces a `lead` [rad] that exerts a force, where a joint at `q` is beyond a position limit and the lead points
+/// Reduces a `lead` [rad] that exerts a force if its joint, at `q`, is beyond a position limit and the lead points
 /// farther out.
 ///
-/// The goal may exceed the limit, otherwise a joint at its stop could exert no torque. But it must not push the joint
-/// farther out. `slope` is the largest reduction per rad of overtravel: a steeper one oscillates because of the delay.
+/// The goal may exceed the limit, because a joint at its stop could not exert a torque otherwise, but it must not push
+/// the joint farther out. `slope` is the largest reduction per rad beyond the limit; with the delay, a steeper one
+/// oscillates.
 #[inline(always)]
 pub(crate) fn fade_past_limit<J: JointVector>(lead: J, q: J, lower: J, upper: J, slope: f64) -> J {
     let zero = J::splat(0.0);
@@ -28,11 +29,11 @@ pub(crate) fn fade_past_limit<J: JointVector>(lead: J, q: J, lower: J, upper: J,
     J::copy_sign(J::max(faded, zero), lead)
 }
 
-/// Parts of the joint goals that follow from the result of the law.
+/// Parts of the joint goals, computed from the result of the law.
 #[derive(Clone, Copy)]
 pub(crate) struct JointTargets<J: JointVector> {
     pub(crate) motion: LawOutput<J>,
-    /// τ^q of (11) [N·m]; `None` under laws whose torque limits do not use it.
+    /// Joint torque budgets τ^q [N·m], equation (11) of the paper; `None` under laws other than `paper`.
     pub(crate) budget: Option<J>,
     /// Part of the goals that moves the arm, before the slew [rad]; it stays within the position limits.
     pub(crate) q_goal: J,
@@ -71,7 +72,8 @@ impl<J: JointVector> JointTargets<J> {
         }
     }
 
-    /// Returns the terms of the torque limits, for the measured positions and the stored lead `(q, integral)` [rad].
+    /// Returns the terms of the torque limits at the measured positions `q`, with the lead `integral` that the
+    /// integrator has stored [rad].
     #[inline(always)]
     pub(crate) fn limit_terms(
         &self,
@@ -84,7 +86,8 @@ impl<J: JointVector> JointTargets<J> {
         let motion = &self.motion;
         let wrench = motion.wrench.total();
         let pull = tr_mul(arm.rows, &wrench.to_axes());
-        // Lead without the part that exerts the wrench: the null space, minus what position limits removed.
+        // Subtract the lead that exerts the wrench. The null-space lead remains, less the motion that position limits
+        // cut.
         let lead =
             J::fnma(J::load(&params.servos.compliance), pull, motion.stiff_offset + motion.soft_offset + motion.null);
         let ahead = arm.q - q;
@@ -112,8 +115,8 @@ impl<J: JointVector> JointTargets<J> {
     }
 }
 
-/// Returns the largest lead of the goals under law `paper` [rad]: the one in the settings if given; otherwise slightly
-/// more than the lead at which a servo reaches its torque limit, or [`DEFAULT_OFFSET_LIMIT`] if k_p is not known.
+/// Returns the largest lead of the goals under law `paper` [rad]: that of the settings, if given; otherwise slightly
+/// more than the lead at which a servo reaches its torque limit; [`DEFAULT_OFFSET_LIMIT`] if k_p is unknown.
 #[inline(always)]
 fn lead_limit<J: JointVector>(params: &Params, settings: &Settings, limit: J) -> J {
     match settings.paper_options.lead_limit {
@@ -130,12 +133,11 @@ pub(crate) struct Goals<J> {
     pub(crate) gravity_offset: J,
 }
 
-/// Moves the goals from `before` toward `to` by at most `step` [rad] each, all by the same share of the remaining
-/// distance; returns that share. Moves their gravity parts toward those of `to` first, each joint independently.
+/// Moves each goal from `before` toward `to` by at most `step` [rad]. The gravity parts move first, each joint
+/// independently; then all goals move by the same share of the remaining distance. Returns the goals and that share.
 ///
-/// Independent joint speeds would take the tool off its path, and move it faster than its target. Therefore the joint
-/// with the longest distance slows the others. The gravity part does not wait for other joints. A NaN goal stays NaN,
-/// so that the step can refuse to send it.
+/// The common share keeps the tool on its path and at the speed of its target: the joint with the longest distance
+/// slows the others. A NaN goal stays NaN, so that the step can refuse to send it.
 #[inline(always)]
 pub(crate) fn slew<J: JointVector>(before: Goals<J>, to: Goals<J>, step: f64) -> (Goals<J>, f64) {
     let step = J::splat(step);
@@ -144,7 +146,8 @@ pub(crate) fn slew<J: JointVector>(before: Goals<J>, to: Goals<J>, step: f64) ->
     let (distance, room) = (J::abs(motion), step - J::abs(lift));
     let mut share = 1.0;
     if room.is_any_lt(distance) {
-        // A motion that is only rounding error must not stop the other joints while the gravity part takes all the room.
+        // While a gravity part uses up the whole step, a motion that is only rounding error must not stop the other
+        // joints.
         let free = J::max(room, step * J::splat(1e-9));
         let missing = J::select_lt(free, distance, J::splat(1.0) - room / distance, J::splat(0.0));
         share -= missing.max_element();
@@ -152,12 +155,12 @@ pub(crate) fn slew<J: JointVector>(before: Goals<J>, to: Goals<J>, step: f64) ->
     (Goals { goal: before.goal + lift + J::splat(share) * motion, gravity_offset: before.gravity_offset + lift }, share)
 }
 
-/// Joint speeds [rad/s] for the servos' own profiles: the speed at which one joint alone keeps the tool within its
-/// `[linear, angular]` speed, but at least the goals' own `slew` [rad/s] and at most the `joint` speed limit.
+/// Returns the joint speeds [rad/s] for the servos' motion profiles: the speed at which one joint alone keeps the tool
+/// within the speeds `tool` [m/s, rad/s], but at least the `slew` of the goals and at most the speed limit `joint`.
 ///
-/// The speed is at least `slew` because joints whose motions cancel at the tool may turn faster than the tool's speed
-/// suggests. A servo whose profile is slower than its goal lags behind, and then pulls with an unintended lead, on soft
-/// axes too. `j_base` is the Jacobian in base axes.
+/// The lower bound `slew` is for joints whose motions cancel at the tool: they may turn faster than the tool's speed
+/// suggests. A servo whose profile is slower than its goal lags behind and exerts an unintended force, also on soft
+/// axes. `j_base` is the Jacobian in base axes.
 #[inline(always)]
 pub(crate) fn profile_velocity<J: JointVector>(j_base: &[J; MAX_AXES], tool: [f64; 2], slew: f64, joint: J) -> J {
     let mut out = J::splat(f64::INFINITY);
@@ -188,7 +191,7 @@ mod tests {
         values.to_joints()[0]
     }
 
-    /// Returns goals and gravity offsets of two joints after one slew by at most `step`.
+    /// Returns goals and gravity offsets of two joints after one call of `slew` with this `step`.
     fn slewed(goal: [f64; 2], gravity_offset: [f64; 2], to: [f64; 2], new: [f64; 2], step: f64) -> [[f64; 2]; 2] {
         let goals =
             |goal: &[f64], gravity_offset: &[f64]| Goals { goal: vector(goal), gravity_offset: vector(gravity_offset) };
@@ -207,7 +210,7 @@ mod tests {
         assert!(near(goal, [0.6, 0.175]), "a twentieth of the way, for both: {goal:?}");
         let [goal, _] = slewed([0.5, 0.2], none, [2.5, -0.3], none, f64::INFINITY);
         assert!(near(goal, [2.5, -0.3]));
-        // The first joint takes up its gravity part; the second moves by the remaining share, which is zero for both.
+        // Joint 0 moves its gravity part by the whole step. Nothing else of it has to move, so joint 1 arrives.
         let [goal, gravity_offset] = slewed(none, none, [0.3, 0.02], [0.3, 0.0], 0.1);
         assert!(near(gravity_offset, [0.1, 0.0]) && near(goal, [0.1, 0.02]), "{goal:?} {gravity_offset:?}");
         let [goal, gravity_offset] = slewed([0.1, 0.0], [0.1, 0.0], [0.35, 0.02], [0.15, 0.0], 0.1);
@@ -220,7 +223,7 @@ mod tests {
             let [goal, gravity_offset] = slewed([0.0; 2], [0.0; 2], [0.3 + noise, 0.02], [0.3, 0.0], 0.1);
             assert!((gravity_offset[0] - 0.1).abs() < 1e-15 && (goal[1] - 0.02).abs() < 1e-15, "{noise}: {goal:?}");
         }
-        // A motion of its own does stop them.
+        // A motion beyond rounding error does stop the other joint.
         let [goal, _] = slewed([0.0; 2], [0.0; 2], [0.3 + 1e-6, 0.02], [0.3, 0.0], 0.1);
         assert!(goal[1].abs() < 1e-15, "{goal:?}");
     }

@@ -24,8 +24,8 @@ const MAX_STEPS: usize = 120;
 /// Largest motion of a joint in one step [rad; m if prismatic].
 const MAX_JOINT_STEP: f64 = 0.04;
 
-/// Lever of the yielding joint below which the joint counts as at its dead centre and does not follow the hand: for a
-/// translation in m on an arm of 0.71 m, proportional to the arm's reach; for a rotation in rad per rad.
+/// Lever of a joint below which it counts as at its dead centre and cannot follow the hand. For translations in m, for
+/// an arm with a reach of 0.71 m and proportional to the reach; for rotations in rad per rad.
 const DEAD_CENTRE: f64 = 0.015;
 
 /// Maximum number of steps in the search for the equilibrium.
@@ -40,7 +40,7 @@ const MAX_NEWTON_STEPS: usize = 20;
 /// Number of bisection steps in the search for the share by which torque limits are reduced.
 const HALVINGS: u32 = 6;
 
-/// Arm after a host loss, whose goals and torque limits stay constant.
+/// Arm after a host loss; its goals and torque limits stay constant.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct HostLoss<'a> {
     pub(crate) simd_level: SimdLevel,
@@ -59,14 +59,14 @@ pub(crate) struct HostLoss<'a> {
 /// Result of a simulated push.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct PushResult {
-    /// Largest force on the hand along its path, from servos, gears and gravity [N, N·m].
+    /// Largest force of servos, gears and gravity on the hand along its path [N, N·m].
     pub(crate) force: f64,
-    /// True if the push ends before its full distance, because the joints that could yield are at a position limit or
-    /// at their dead centre.
+    /// True if the push ends before its full distance because every joint that could yield is at a position limit or at
+    /// its dead centre.
     pub(crate) blocked: bool,
 }
 
-/// Arm at one point of the path of a push.
+/// Levers and torques of the arm at one point on the path of a push.
 struct PushPoint {
     /// Motion of the tool in the direction of the push per joint motion [m/rad, 1].
     lever: JointVec,
@@ -77,8 +77,8 @@ struct PushPoint {
 }
 
 impl HostLoss<'_> {
-    /// Returns the joint positions at which the arm comes to rest without a hand [rad]; the present ones without known
-    /// k_p.
+    /// Returns the joint positions [rad] at which the arm comes to rest without a push; the present positions if k_p is
+    /// unknown.
     pub(crate) fn equilibrium(&self) -> JointVec {
         let (n, mut q) = (self.params.n, *self.q);
         if !self.params.servos.has_kp {
@@ -99,15 +99,15 @@ impl HostLoss<'_> {
         q
     }
 
-    /// Returns the largest force along one task axis, toward `sign`, on a hand that pushes the arm at `rest` and leaves
+    /// Returns the largest force on a hand that pushes the arm from `rest` along one task axis toward `sign` and leaves
     /// all other axes free.
     ///
     /// Each joint is a spring to its goal that slips at its torque limit L and has friction τ_f. A push F loads joint i
-    /// with the torque `F a_i`, where a is its lever. The arm follows in small steps, each with the smallest F that
+    /// with the torque `F a_i`, where a_i is its lever. The arm follows in small steps, each with the smallest F that
     /// moves the tool. First the springs stretch, until at joint i the push overcomes limit, friction, gravity torque g
     /// and damping d at the hand's speed v: `F = (L_i + τ_f,i + s_i g_i)/|a_i| + d_i v/a_i²` with `s_i = sign(a_i)`.
-    /// From there that joint turns alone until another joint is weaker. A joint at its position limit does not yield;
-    /// it turns back if the push changes its direction along the path.
+    /// From then on joint i turns alone until another joint is weaker. A joint at its position limit does not yield,
+    /// but can turn back if the direction of its load changes along the path.
     pub(crate) fn max_push_force(&self, rest: &JointVec, row: usize, sign: f64) -> PushResult {
         let n = self.params.n;
         let kind = usize::from(self.params.per_axis[row].axis >= 3);
@@ -132,7 +132,7 @@ impl HostLoss<'_> {
                 }
             }
             if max.is_infinite() || point.lever[weakest].abs() * self.params.row_scale[row] < DEAD_CENTRE {
-                // An arm that tips over its dead centre by its own weight does not block.
+                // An arm that its own weight moves over the dead centre does not block the push.
                 let result = force.max(0.0);
                 return PushResult { force: result, blocked: max > result };
             }
@@ -152,7 +152,7 @@ impl HostLoss<'_> {
         PushResult { force, blocked: false }
     }
 
-    /// Returns the smallest force, at most `max`, that moves the tool by `step` by stretching the joints' springs, and
+    /// Returns the smallest force, at most `max`, that moves the tool by `step` while the joints' springs stretch, and
     /// the joint displacements.
     fn spring(&self, q: &JointVec, point: &PushPoint, max: f64, step: f64) -> (f64, JointVec) {
         let n = self.params.n;
@@ -179,7 +179,7 @@ impl HostLoss<'_> {
         if moved < step {
             return (max, turn);
         }
-        // Piecewise linear and non-decreasing: Newton steps, kept between bounds.
+        // The displacement is piecewise linear and non-decreasing in the force: Newton steps within bounds.
         let (mut low, mut high, mut force) = (max - 2.0 * max.abs() - 1.0, max, max);
         for _ in 0..MAX_NEWTON_STEPS {
             if moved < step {
@@ -208,8 +208,8 @@ impl HostLoss<'_> {
         PushPoint { lever: lever.map(|a| sign * a), holding, pull }
     }
 
-    /// Returns the gravity torques at `q`, the servo torques minus the gravity torques [N·m], and the Jacobian's rows in
-    /// base axes.
+    /// Returns, at `q`: the gravity torques and the servo torques minus the gravity torques [N·m]; the Jacobian in base
+    /// axes.
     fn torques(&self, q: &JointVec) -> ([JointVec; 2], Rows) {
         let mut j_base = [[0.0; MAX_JOINTS]; MAX_AXES];
         let rows = Some(&mut j_base);
@@ -224,7 +224,7 @@ impl HostLoss<'_> {
     }
 
     /// Returns `q` after the displacement `turn` [rad], scaled so that no joint moves farther than [`MAX_JOINT_STEP`].
-    /// Joints stop at their position limits; one that is beyond its limit moves no farther out.
+    /// Joints stop at their position limits; a joint beyond its limit does not move farther out.
     fn advance(&self, q: &JointVec, turn: &JointVec) -> JointVec {
         let longest = turn.iter().fold(0.0_f64, |max, x| max.max(x.abs()));
         let (share, mut next) = ((MAX_JOINT_STEP / longest).min(1.0), *q);
@@ -235,9 +235,9 @@ impl HostLoss<'_> {
         next
     }
 
-    /// Returns the largest force on a hand along any translation of the task [N], the task row, and the direction (±1).
-    /// A push that ends at position limits or at a stretched arm counts up to there. Returns the first force above
-    /// `enough` without testing the others.
+    /// Returns the largest force on a hand along any translation of the task [N], with its task row and direction (±1).
+    /// A push that ends at position limits or at a stretched arm counts up to its end. Stops at the first force above
+    /// `enough`.
     pub(crate) fn worst_push(&self, enough: f64) -> (f64, usize, f64) {
         let (rest, mut worst) = (self.equilibrium(), (f64::NEG_INFINITY, 0, 1.0));
         for row in (0..self.params.k).filter(|&row| self.params.per_axis[row].axis < 3) {
@@ -254,9 +254,9 @@ impl HostLoss<'_> {
         worst
     }
 
-    /// Returns torque limits with which the force on a hand is at most `max` [N]: removes as much of the `margin` as is
-    /// needed, then as much of the excess over `base`, the limits that hold the arm's weight [N·m]. If that is not
-    /// enough, returns the smaller of `base` and the present limit of each joint.
+    /// Returns torque limits with which the force on a hand is at most `max` [N]. Removes a share of the `margin`; if
+    /// that is not enough, all of it and a share of what exceeds `base`, the limits that hold the arm's weight [N·m].
+    /// If even that is not enough, each limit is `base` or the present limit, whichever is smaller.
     fn limits_within(&self, max: f64, base: &JointVec, margin: &JointVec) -> JointVec {
         let is_within = |limit: &JointVec| HostLoss { limit, ..*self }.worst_push(max).0 <= max;
         if is_within(self.limit) {
@@ -281,7 +281,8 @@ impl HostLoss<'_> {
     }
 }
 
-/// Arm at the end of a control step, whose torque limits are to bound the force on a hand after a host loss.
+/// Arm at the end of a control step, for which torque limits are computed that bound the force on a hand after a host
+/// loss.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct HostLossBound<'a> {
     pub(crate) simd_level: SimdLevel,
@@ -302,8 +303,8 @@ pub(crate) struct HostLossBound<'a> {
 }
 
 impl HostLossBound<'_> {
-    /// Returns the torque limits with which the force on a hand after a host loss is at most `max` [N], but at least
-    /// those that hold the arm.
+    /// Returns torque limits with which the force on a hand after a host loss is at most `max` [N], but not less than
+    /// the arm's weight requires.
     #[cold]
     #[inline(never)]
     pub(crate) fn limits(&self, max: f64) -> JointVec {

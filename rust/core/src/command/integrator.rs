@@ -1,4 +1,5 @@
-//! Integration of the lead of stiff axes into a stored lead of the goals, with anti-windup.
+//! Integral action of the stiff axes: their lead (goal − q) accumulates in a stored lead of the goals, with
+//! anti-windup.
 
 use crate::command::DEFAULT_OFFSET_LIMIT;
 use crate::math::ldlt6::Ldlt6;
@@ -12,7 +13,7 @@ use crate::{AxisVec, JointVec, Rows};
 pub(crate) struct Integrator<'a> {
     /// Lead of the stiff axes and of the null space in this step [rad].
     pub(crate) offset: &'a JointVec,
-    /// Share of that lead that is added to the stored one: rate × dt.
+    /// Share of `offset` that is added to the stored lead: `Tracking::integrate` times dt.
     pub(crate) share: f64,
     /// Gravity torques times their factor s_g in the limits [N·m].
     pub(crate) gravity: &'a JointVec,
@@ -25,8 +26,8 @@ pub(crate) struct Integrator<'a> {
 }
 
 impl Integrator<'_> {
-    /// Adds the lead of this step to `stored` [rad], then removes from `stored` the part that acts on soft axes. Under
-    /// laws `cap` and `impedance` also removes the part that exerts more than `hold` on stiff axes.
+    /// Adds `share` of the lead of this step to `stored` [rad], then removes the part that acts on soft axes. Under the
+    /// laws `cap` and `impedance`, also removes what exerts more than `hold` on stiff axes.
     pub(crate) fn update(&self, stored: &mut JointVec, params: &Params) {
         let (k, n, servos) = (params.k, params.n, &params.servos);
         for i in 0..n {
@@ -39,7 +40,7 @@ impl Integrator<'_> {
         if !by_force && self.softness.iter().all(|&w| w <= 0.0) {
             return;
         }
-        // Wrench that the stored lead z exerts, W = (C + λ²/k̄)⁻¹ J z, minus the part that may stay.
+        // The stored lead z exerts the wrench W = (C + λ²/k̄)⁻¹ J z. Subtract the part that may stay.
         let (rows, compliance) = (load_rows(self.rows), JointVec16::load(&servos.compliance));
         let c = damped(weighted_gram(&rows, compliance), &self.damping.map(|squared| squared / servos.kp_mean));
         let mut wrench = Ldlt6::new::<BaselineF64>(&c).solve::<BaselineF64>(&mul(&rows, JointVec16::load(stored)));

@@ -1,4 +1,4 @@
-//! Servo command from the motion and force of the law: goals and torque limits.
+//! Goals and torque limits of the servos, computed from the motion and force of the law.
 
 pub(crate) mod goal;
 pub(crate) mod host_loss;

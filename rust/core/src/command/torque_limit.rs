@@ -1,4 +1,4 @@
-//! Joint torque limits: three rules for the wanted limits, and their bounds and slew.
+//! Joint torque limits: three rules that compute them, their bounds, and the rate limit of their rise.
 
 use crate::law::activation::Activation;
 use crate::math::simd::{JointVec16, JointVector, RealOps};
@@ -31,7 +31,7 @@ impl<J: JointVector> LimitTerms<J> {
         J::max(J::abs(wanted), J::splat(self.gravity_scale) * J::abs(self.gravity)) + self.margin
     }
 
-    /// Returns the limits of law `paper`: the budgets τ^q of (11) plus `s_g |g|`.
+    /// Returns the limits of law `paper`: the budgets τ^q, equation (11) of the paper, plus `s_g |g|`.
     #[inline(always)]
     pub(crate) fn budget(&self, budget: J) -> J {
         J::fma(J::splat(self.gravity_scale), J::abs(self.gravity), budget)
@@ -53,7 +53,7 @@ impl<J: JointVector> LimitTerms<J> {
     }
 }
 
-/// Inputs of the rule `Sum`, which few settings use.
+/// Inputs of the rule `Sum`.
 pub(crate) struct SumRuleInput {
     pub(crate) rows: Rows,
     pub(crate) gradient: JointVec,
@@ -85,15 +85,15 @@ impl SumRuleInput {
     }
 }
 
-/// Clamps the `wanted` limits between `floor` and `ceiling`. They may rise above the limits `before` by at most `rise`
-/// and may fall at once; `None`: no bound on the rise.
+/// Clamps the `wanted` limits between `floor` and `ceiling`. They may exceed the limits `before` of the last step by at
+/// most `rise` (`None`: by any amount) and may fall at once.
 #[inline(always)]
 pub(crate) fn bound_and_slew<J: JointVector>(wanted: J, before: Option<J>, floor: J, ceiling: J, rise: J) -> J {
     let mut limit = J::min(wanted, ceiling);
     if let Some(before) = before {
         limit = J::min(limit, before + rise);
     }
-    // The floor applies after the bound on the rise, so that a raised floor takes effect at once.
+    // Apply the floor after the bound on the rise, so that a raised floor takes effect at once.
     J::min(J::max(limit, floor), ceiling)
 }
 

@@ -11,9 +11,9 @@ pub(super) struct Events {
     hysteresis: f64,
     /// Time for which the force must be beyond a threshold before an event begins or ends [s].
     min_time: f64,
-    /// Factor on the uncertainty that gives the lowest threshold.
+    /// Lower bound on a threshold, as a multiple of the uncertainty.
     guard: f64,
-    /// Time for which the force along each axis has required a change of its state in `on` [s].
+    /// Time for which the force along each axis has contradicted its state in `on` [s].
     against: AxisVec,
     on: [bool; MAX_AXES],
 }
@@ -28,17 +28,18 @@ impl Events {
         (self.against, self.on) = ([f64::NEG_INFINITY; MAX_AXES], [false; MAX_AXES]);
     }
 
-    /// Updates the events with force and uncertainty [N, N·m] `dt` [s] after the last update; returns which are on.
+    /// Updates the events with force and uncertainty [N, N·m] `dt` [s] after the last update; returns true for axes
+    /// with an event.
     ///
-    /// An event begins once |force| has been above `max(threshold, guard · uncertainty)` for the minimum time, which
-    /// starts at the first such reading. It ends once |force| has been below `(1 − hysteresis)` times that value for
-    /// the same time.
+    /// An event begins once |force| has been above `max(threshold, guard · uncertainty)` for the minimum time, counted
+    /// from the first such reading. It ends once |force| has been below `(1 − hysteresis)` times that value for the
+    /// same time.
     pub(super) fn update(&mut self, force: &AxisVec, uncertainty: &AxisVec, dt: f64) -> [bool; MAX_AXES] {
         for axis in 0..MAX_AXES {
             let threshold = self.thresholds[axis].max(self.guard * uncertainty[axis]);
             let size = force[axis].abs();
             let contradicts = if self.on[axis] { size < (1.0 - self.hysteresis) * threshold } else { size > threshold };
-            // The time starts at 0 with the first reading beyond a threshold.
+            // −dt, so that the time is 0 at the first reading beyond a threshold.
             self.against[axis] = if contradicts { self.against[axis].max(-dt) + dt } else { -dt };
             if contradicts && self.against[axis] >= self.min_time - 1e-9 {
                 self.on[axis] = !self.on[axis];

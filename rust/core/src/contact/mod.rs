@@ -1,7 +1,7 @@
 //! Contact estimation with position servos: wrench at the tool, error bound and events.
 //!
-//! The servos' torques follow from goals, limits and positions. What remains of the torque balance after gravity,
-//! friction and acceleration is caused by the surroundings:
+//! The torques of the servos are computed from goals, limits and positions. The external force F balances what gravity
+//! torque g, acceleration, friction τ_f and damping d leave of them:
 //!
 //! `JᵀF = g + M q̈ + τ_f tanh(v/v₀) + d v − clip(k_p (goal − q) − k_v v, ±limit)`
 //!
@@ -25,7 +25,7 @@ pub use options::ContactOptions;
 use events::Events;
 use residual::{ModelErrors, ServoModel};
 
-/// Number of stored commands; a goal acts only after the delay T_d, so the one in force is an older one.
+/// Number of stored commands. A goal acts after the delay T_d, so the present torque results from an older command.
 const HISTORY: usize = 64;
 
 /// Optional inputs of an update besides the positions.
@@ -35,8 +35,8 @@ pub struct ContactInput<'a> {
     pub dt: Option<f64>,
     /// Joint velocity (n) [rad/s]; `None`: filtered from the positions.
     pub dq: Option<&'a [f64]>,
-    /// Measured torques (n) of the servos [N·m]; `None`: computed from `current`, or else from goal, position and
-    /// limit.
+    /// Measured torques (n) of the servos [N·m]; `None`: computed from `current`, if given, else from goal, position
+    /// and limit.
     pub load: Option<&'a [f64]>,
     /// Currents (n) of the motors [A], used if `load` is `None`; needs [`ContactOptions::torque_constant`].
     pub current: Option<&'a [f64]>,
@@ -62,10 +62,10 @@ pub struct WrenchEstimate {
     pub uncertainty_base: AxisVec,
     /// Torque of the surroundings on each joint, low-passed, relative to the tare if there is one [N·m].
     pub torque_residual: JointVec,
-    /// Bound on the error of `torque_residual` [N·m]. Unlike `uncertainty` it does not include the unknown payload.
+    /// Bound on the error of `torque_residual` [N·m]. Unlike `uncertainty`, it does not include `payload_error`.
     pub torque_uncertainty: JointVec,
-    /// Largest |`torque_residual`| / `torque_uncertainty` over the joints, after subtracting the possible effect of the
-    /// unknown payload. A value above 1 proves a contact somewhere on the arm.
+    /// Largest |`torque_residual`| / `torque_uncertainty` over the joints, with the possible effect of `payload_error`
+    /// subtracted. A value above 1 proves a contact somewhere on the arm.
     pub residual_ratio: f64,
     /// Torque of each servo [N·m], measured or computed from goal, position and limit.
     pub torque: JointVec,
@@ -106,18 +106,18 @@ struct Sent {
     limit: JointVec,
 }
 
-/// Quantities stored at a tare, to which later estimates are relative; all 0 without a tare.
+/// Quantities at the time of the tare, to which later estimates are relative; all 0 without a tare.
 #[derive(Debug, Clone, Copy)]
 struct Tare {
     /// Residual at the tare [N·m].
     residual: JointVec,
-    /// Servo torques at the tare [N·m]; their error is proportional to the change since then.
+    /// Servo torques at the tare [N·m]. The error of a later servo torque is proportional to its change since then.
     servo_torque: JointVec,
-    /// Gravity torques at the tare [N·m]; their error is proportional to the change since then.
+    /// Gravity torques at the tare [N·m]. The error of a later gravity torque is proportional to its change since then.
     gravity: JointVec,
     /// Bound on the friction torque contained in `residual` [N·m].
     friction_bound: JointVec,
-    /// Gravity torques per mass at the tool at the tare [N·m/kg].
+    /// Gravity torques per kg of mass at the tool, at the tare [N·m/kg].
     payload: JointVec,
 }
 
@@ -141,7 +141,7 @@ struct History {
     count: usize,
 }
 
-/// State between readings, without the commands, because an update copies it.
+/// State between readings. An update copies it, so it does not contain the command history.
 #[derive(Debug, Clone, Copy)]
 struct State {
     filter: VelocityFilter,
@@ -149,13 +149,13 @@ struct State {
     previous_q: JointVec,
     /// Low-passed velocity [rad/s], from which the acceleration is computed.
     lowpassed_velocity: JointVec,
-    /// `g − τ`, delayed like the velocities [N·m].
+    /// Gravity torque minus servo torque [N·m], delayed by the filter of the velocities.
     static_residual: JointVec,
     /// Low-passed residual torques without the acceleration term [N·m].
     low_passed: JointVec,
     /// Residual torques with the acceleration term [N·m].
     residual: JointVec,
-    /// Low-passed bound on the error of `residual`, without noise and payload [N·m].
+    /// Low-passed bound on the error of `residual`, without noise and unknown payload [N·m].
     uncertainty: JointVec,
     /// True after the first reading.
     started: bool,
@@ -182,12 +182,12 @@ struct State {
 /// let q = [-0.13, -0.60, 0.72, -1.74, 0.93, 0.68, -0.17]; // measured [rad], here always the same
 /// let target = model.forward_kinematics(&q)?;
 /// for _ in 0..50 {
-///     let felt = contact.update(&controller, &q, &ContactInput::default())?;
-///     let _push = felt.force[1]; // along y [N], wrong by at most felt.uncertainty[1]
+///     let estimate = contact.update(&controller, &q, &ContactInput::default())?;
+///     let _push = estimate.force[1]; // along y [N], wrong by at most estimate.uncertainty[1]
 ///     controller.step(&q, &target, &StepInput::default())?;
 /// }
-/// let felt = contact.estimate();
-/// assert!(felt.force[1].abs() <= felt.uncertainty[1], "nothing pushes at this arm");
+/// let estimate = contact.estimate();
+/// assert!(estimate.force[1].abs() <= estimate.uncertainty[1], "nothing pushes this arm");
 /// # Ok(())
 /// # }
 /// ```
@@ -301,10 +301,10 @@ impl ContactEstimator {
         state.estimate = WrenchEstimate::empty(self.joints.n);
     }
 
-    /// Stores the present residual as zero: later estimates are relative to it.
+    /// Defines the present residual as zero; later estimates are relative to it.
     ///
-    /// From then on, the errors of k_p and gravity are proportional to the change of the torques since the tare. The
-    /// dry friction that the stored residual may contain is added to the uncertainty.
+    /// Afterwards, the errors of k_p and gravity are proportional to the change of the torques since the tare. The dry
+    /// friction that the stored residual may contain is added to the uncertainty.
     ///
     /// # Errors
     /// [`Error::Config`] before the first reading.

@@ -1,4 +1,4 @@
-//! Options of the contact estimator, among them the accuracy with which the arm's model is known.
+//! Options of the contact estimator, including the errors of the arm's model.
 
 use crate::error::{Error, Result};
 use crate::params::AXIS_NAMES;
@@ -24,7 +24,7 @@ pub struct ContactOptions {
     pub kp_error: Option<f64>,
     /// Relative error of the gravity torques.
     pub gravity_error: f64,
-    /// Largest mass at the tool that the payload does not include [kg].
+    /// Largest unknown mass at the tool, in addition to the payload [kg].
     pub payload_error: f64,
     /// Relative error of the acceleration torques `M q̈`.
     pub inertia_error: f64,
@@ -32,7 +32,7 @@ pub struct ContactOptions {
     pub load_error: f64,
     /// Joint torque per motor current, gears included (n) [N·m/A]; needed if currents are given.
     pub torque_constant: Option<Vec<f64>>,
-    /// Largest plausible force [N] and torque [N·m] of the surroundings; also the uncertainty along unobservable axes.
+    /// Largest plausible force [N] and torque [N·m] of the surroundings. It is the uncertainty along unobservable axes.
     pub max_wrench: [f64; 2],
     /// Threshold of a touch event for each axis [N, N·m]; `None`: no event.
     pub touch: [Option<f64>; MAX_AXES],
@@ -42,7 +42,7 @@ pub struct ContactOptions {
     pub hysteresis: f64,
     /// Time for which the force must be beyond a threshold before an event begins or ends [s].
     pub min_time: f64,
-    /// Factor (0 to 1) on the uncertainty that gives the lowest threshold of an event. With 1, every event proves a
+    /// Lower bound on the threshold of an event, as a share (0 to 1) of the uncertainty. With 1, every event proves a
     /// contact.
     pub guard: f64,
     /// True to accept thresholds below the uncertainty; `guard` then has no effect.
@@ -121,7 +121,7 @@ impl ContactOptions {
         self.check_constants(n)
     }
 
-    /// Returns the factor on the uncertainty that gives the lowest threshold of an event; 0 with `accept_thresholds`.
+    /// Returns the lower bound on thresholds, as a share of the uncertainty; 0 with `accept_thresholds`.
     pub(super) const fn guard(&self) -> f64 {
         if self.accept_thresholds { 0.0 } else { self.guard }
     }

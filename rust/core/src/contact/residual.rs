@@ -16,10 +16,10 @@ pub(super) struct ServoModel {
     pub(super) kv: JointVec,
     /// Servo parameters of the controller, used for friction.
     pub(super) servos: ServoArrays,
-    /// Damping of gears and back-EMF, to which the torque limit does not apply [N·m·s/rad].
+    /// Damping of gears and back-EMF [N·m·s/rad], which the torque limit does not bound.
     pub(super) gear_damping: JointVec,
-    /// Part of `gear_damping` that a measured load already includes: the back-EMF of servos that limit the PWM duty
-    /// cycle [N·m·s/rad].
+    /// Back-EMF of servos that limit the PWM duty cycle [N·m·s/rad]: a part of `gear_damping` that a measured load
+    /// already includes.
     pub(super) back_emf: JointVec,
     pub(super) armature: JointVec,
     pub(super) encoder_step: JointVec,
@@ -70,7 +70,7 @@ impl ServoModel {
     }
 }
 
-/// Relative errors of the terms of a torque balance.
+/// Relative errors of the terms of the torque balance, as fractions.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct ModelErrors {
     /// Error of friction and damping.
@@ -102,7 +102,7 @@ pub(super) struct Balance<'a> {
     /// Low-passed acceleration [rad/s²].
     pub(super) acceleration: &'a JointVec,
     pub(super) noise: &'a Noise,
-    /// Speed v₀ over which dry friction changes its sign, `tanh(v/v₀)` [rad/s].
+    /// Speed v₀ [rad/s] in the dry friction `τ_f tanh(v/v₀)`.
     pub(super) friction_speed: f64,
 }
 
@@ -150,7 +150,7 @@ impl Balance<'_> {
         out
     }
 
-    /// Returns the acceleration torques `M q̈`, rotors included [N·m].
+    /// Returns the acceleration torques `M q̈` [N·m], including those of the rotors.
     #[inline]
     pub(super) fn inertial_torque(&self) -> JointVec {
         let mut out = [0.0; MAX_JOINTS];
@@ -165,8 +165,8 @@ impl Balance<'_> {
 
     /// Returns the bound on the error caused by friction, damping, velocity and acceleration [N·m].
     ///
-    /// The dry friction of a joint that may be at rest lies anywhere within ±τ_f (1 + ε), with ε the relative error of
-    /// friction. If the joint certainly moves, only ε τ_f is uncertain.
+    /// With the relative error ε of friction: the dry friction of a joint that may be at rest is unknown within ±τ_f (1
+    /// + ε); that of a joint that certainly moves, within ±ε τ_f.
     #[inline]
     pub(super) fn friction_error(
         &self,
@@ -189,8 +189,8 @@ impl Balance<'_> {
         out
     }
 
-    /// Returns the standard deviation of the torque noise that is independent for each joint: that of the position
-    /// through k_p, and that of the velocity through damping [N·m].
+    /// Returns the standard deviation [N·m] of the torque noise that is independent between joints: noise of the
+    /// position times k_p, and noise of the velocity times damping.
     #[inline]
     pub(super) fn own_noise(&self) -> JointVec {
         let (joints, noise) = (self.joints, self.noise);
@@ -203,8 +203,8 @@ impl Balance<'_> {
         out
     }
 
-    /// Returns the noise that the acceleration noise σ_j of each joint j causes in all joints: column j is `M_j σ_j`
-    /// [N·m].
+    /// Returns the torque noise [N·m] in all joints that the acceleration noise σ_j of each joint j causes: column j is
+    /// `M_j σ_j`.
     #[inline]
     pub(super) fn shared_noise(&self) -> JointMatrix {
         let mut out = [[0.0; MAX_JOINTS]; MAX_JOINTS];
@@ -217,8 +217,8 @@ impl Balance<'_> {
         out
     }
 
-    /// Returns the dry friction of joint i at its present speed and servo torque [N·m], by the friction model of the
-    /// feed-forward.
+    /// Returns the dry friction [N·m] of joint i at its present speed and servo torque, by the same model as the
+    /// feed-forward of the controller.
     #[inline]
     fn friction(&self, i: usize) -> f64 {
         let servos = &self.joints.servos;

@@ -1,4 +1,5 @@
-//! Update of the estimate with one reading: residual, low-pass, wrench and events. Uncertainty of an arm at rest.
+//! Update of the estimate with one reading: residual, low-pass, wrench and events. Also the uncertainty of an arm at
+//! rest.
 
 use super::residual::{Balance, ModelErrors, Noise};
 use super::wrench::Estimator;
@@ -15,13 +16,13 @@ use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 /// Largest plausible torque [N·m] or current [A].
 const LOAD_BOUND: f64 = 1e6;
 
-/// Standard deviation [counts] of a reading that is rounded to counts and toggles by one count half of the time.
+/// Standard deviation [counts] of a reading that is rounded to whole counts and is off by one count half of the time.
 const QUANTIZATION_STD: f64 = 0.76;
 
-/// Number of standard deviations of the noise that its bound covers.
+/// Bound on the noise, as a multiple of its standard deviation.
 const NOISE_SIGMAS: f64 = 3.0;
 
-/// Stride over the sampled configurations of the joint space: every eighth is used for the typical uncertainty.
+/// The typical uncertainty uses every eighth sampled configuration of the joint space.
 const SAMPLE_STRIDE: usize = 8;
 
 /// Kinematics of the tool at one reading.
@@ -29,14 +30,14 @@ struct ToolState {
     /// Jacobian rows of the estimated axes, in the task frame.
     rows: Rows,
     base_from_task: [[f64; 3]; 3],
-    /// Gravity torques per mass at the tool [N·m/kg].
+    /// Gravity torques per kg of mass at the tool [N·m/kg].
     payload: JointVec,
 }
 
 /// Motion of the joints at one reading.
 #[derive(Default)]
 struct JointMotion {
-    /// Mean of the last two positions [rad], which corresponds to the mean torque of the servos between the readings.
+    /// Mean of the last two positions [rad]; it belongs to the mean torque of the servos between these readings.
     middle: JointVec,
     velocity: JointVec,
     velocity_error: JointVec,
@@ -170,8 +171,8 @@ impl ContactEstimator {
         let resistance = balance.friction_error(&errors, &direction, &inertial_torque);
         let (static_part, friction) = (balance.static_residual(), balance.friction_torque(&direction));
         let static_uncertainty = self.static_uncertainty(&errors, &resistance, &torque, &gravity);
-        // Filtered velocities are later than positions: delay the terms without velocity, so that all refer to one
-        // time.
+        // Filtered velocities lag behind positions. Delay the terms without velocity equally, so that all refer to the
+        // same time.
         let lag_share = if state.filters_ready && dq.is_none() {
             dt / (controller.settings().tracking.velocity_filter + dt)
         } else {
@@ -216,8 +217,8 @@ impl ContactEstimator {
         Ok(())
     }
 
-    /// Returns the error bound of an estimate for the arm at rest in `q` (n) [rad], holding its own weight: (6,) [N,
-    /// N·m], task frame; ∞ along axes that are not estimated.
+    /// Returns the error bound (6,) [N, N·m] of an estimate, in the task frame, for the arm at rest at `q` (n) [rad]; ∞
+    /// along axes that are not estimated.
     ///
     /// # Errors
     /// [`Error::Shape`] or [`Error::OutOfRange`] for `q`.
@@ -226,7 +227,7 @@ impl ContactEstimator {
         Ok(self.at_rest(controller, &q))
     }
 
-    /// Returns the median of [`ContactEstimator::uncertainty_at`] over joint positions in the whole joint space.
+    /// Returns the median of [`ContactEstimator::uncertainty_at`] over 64 configurations in the joint space.
     pub fn typical_uncertainty(&self, controller: &Controller) -> AxisVec {
         let found: Vec<AxisVec> = joint_space::sample_configurations(controller.model())
             .step_by(SAMPLE_STRIDE)
@@ -239,8 +240,8 @@ impl ContactEstimator {
         out
     }
 
-    /// Returns an error if a threshold is below `guard` times the typical uncertainty, or belongs to an axis that is not
-    /// estimated. With `accept_thresholds` nothing is checked.
+    /// Returns an error if a threshold is below `guard` times the typical uncertainty, or belongs to an axis that is
+    /// not estimated. Checks nothing with `accept_thresholds`.
     pub(super) fn check_thresholds(&self, controller: &Controller) -> Result<()> {
         let (options, asked) = (&self.options, |thresholds: &[Option<f64>]| thresholds.iter().any(Option::is_some));
         if options.accept_thresholds || !(asked(&options.touch) || asked(&options.stop)) {
@@ -256,7 +257,7 @@ impl ContactEstimator {
                 }
                 let least = options.guard() * typical[axis];
                 if value < least {
-                    // Round up, so that the printed number passes the check when the user types it.
+                    // Round up, so that the number in the message passes this check.
                     let least = (1e3 * least).ceil() / 1e3;
                     let unit = if axis < 3 { "N" } else { "N·m" };
                     return Err(Error::out_of_range(
@@ -343,8 +344,7 @@ impl ContactEstimator {
             if dq.is_none() {
                 let encoder_step = self.joints.encoder_step[i];
                 motion.velocity_error[i] = encoder_step / (filter + dt) + filter * motion.acceleration[i].abs();
-                // Differences of noisy readings after a one-pole filter; the backlash of one count suppresses toggling
-                // at rest.
+                // Noise of the differences after a one-pole filter. At rest, the backlash of one count suppresses it.
                 let toggling = QUANTIZATION_STD * encoder_step * share / dt * (2.0 / (2.0 - share)).sqrt();
                 motion.noise.velocity[i] = toggling.min(velocity[i].abs());
                 motion.noise.acceleration[i] = motion.noise.velocity[i] / span;
@@ -375,8 +375,8 @@ impl ContactEstimator {
         ToolState { rows, base_from_task, payload }
     }
 
-    /// Returns the bound on the error of the residual torques, without noise and unknown payload [N·m]. Errors of servo
-    /// and gravity torques are proportional to the change since the tare.
+    /// Returns the bound [N·m] on the error of the residual torques, without noise and unknown payload. Errors of servo
+    /// and gravity torques are proportional to the change of these torques since the tare.
     fn static_uncertainty(
         &self,
         errors: &ModelErrors,
@@ -419,7 +419,7 @@ impl ContactEstimator {
             .iter_mut()
             .zip(estimator.noise(&noise, &shared))
             .for_each(|(bound, noise)| *bound += NOISE_SIGMAS * noise);
-        // The payload error is one number for all joints, so its effect is not summed joint by joint.
+        // The payload error loads all joints in proportion, so its effects are not added with independent signs.
         bound.iter_mut().zip(estimator.apply(&payload)).for_each(|(bound, load)| *bound += load.abs());
         let residual_ratio =
             (0..n).fold(0.0_f64, |ratio, i| ratio.max((external[i].abs() - payload[i].abs()) / total[i]));
@@ -448,8 +448,8 @@ impl ContactEstimator {
 }
 
 impl History {
-    /// Returns the command that the servos followed when the present reading was taken, where `sent` is the newest one;
-    /// `None` if it is not stored.
+    /// Returns the command that the servos followed when the present reading was taken; `None` if it is not stored.
+    /// `sent` is the newest command.
     fn at_reading(&self, sent: Option<&Sent>, delay: f64, dt: f64) -> Option<Sent> {
         let mut ago = 0;
         let mut passed = 0.5 * dt;
@@ -479,7 +479,8 @@ fn gravity(controller: &Controller, q: &JointVec, frames: &mut JointFrames) -> J
     gravity
 }
 
-/// Returns the command last sent: that of the input, or else the controller's last one; `None` before its first step.
+/// Returns the command last sent: that of the input if given, else the controller's last command; `None` before its
+/// first step.
 fn sent(controller: &Controller, input: &ContactInput<'_>) -> Result<Option<Sent>> {
     if let Some([goal, limit]) = input.sent {
         let goal = controller.model().joints_within("goal", goal, COORDINATE_BOUND)?;

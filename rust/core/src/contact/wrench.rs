@@ -10,15 +10,14 @@ use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 pub(super) struct Estimator {
     /// Gain `G = (J W Jᵀ + P⁻¹)⁻¹ J W` with `W = diag(1/u²)`, `P = diag(max_wrench²)`: k × n.
     gain: Rows,
-    /// Bound on the bias of the estimator itself, `|G Jᵀ − I| max_wrench` [N, N·m]; `max_wrench` along unobservable
-    /// axes.
+    /// Bound on the bias that P⁻¹ causes, `|G Jᵀ − I| max_wrench` [N, N·m]; along unobservable axes it is `max_wrench`.
     regularization_bias: AxisVec,
     k: usize,
     n: usize,
 }
 
 impl Estimator {
-    /// Creates the estimator for `k` Jacobian rows of `n` joints; all entries of `uncertainty` [N·m] and `max_wrench`
+    /// Creates the estimator for `k` Jacobian rows of `n` joints. All entries of `uncertainty` u [N·m] and `max_wrench`
     /// [N, N·m] must be positive.
     #[inline]
     pub(super) fn new(rows: &Rows, uncertainty: &JointVec, max_wrench: &AxisVec, k: usize, n: usize) -> Self {
@@ -36,10 +35,10 @@ impl Estimator {
         let gain = store_rows(&factor.weighted_rows(&rows, weight));
         let mut regularization_bias = [0.0; MAX_AXES];
         for c in 0..k {
-            // G Jᵀ − I = −(J W Jᵀ + P⁻¹)⁻¹ P⁻¹, without cancellation.
-            let mut noise = [0.0; MAX_AXES];
-            noise[c] = prior[c];
-            let column = factor.solve::<BaselineF64>(&noise);
+            // G Jᵀ − I = −(J W Jᵀ + P⁻¹)⁻¹ P⁻¹; this form has no cancellation.
+            let mut prior_column = [0.0; MAX_AXES];
+            prior_column[c] = prior[c];
+            let column = factor.solve::<BaselineF64>(&prior_column);
             for r in 0..k {
                 regularization_bias[r] += column[r].abs() * max_wrench[c];
             }
@@ -59,8 +58,8 @@ impl Estimator {
         out
     }
 
-    /// Returns the standard deviations of `G ε` [N, N·m], where ε is the sum of independent `noise` of each joint and,
-    /// for each column of `shared`, one independent noise that acts on all joints [N·m].
+    /// Returns the standard deviations of the estimate [N, N·m] for noise of the joint torques: `noise` [N·m] is
+    /// independent between joints; each column of `shared` [N·m] is an independent noise that acts on all joints.
     #[inline]
     pub(super) fn noise(&self, noise: &JointVec, shared: &JointMatrix) -> AxisVec {
         let mut out = [0.0; MAX_AXES];

@@ -29,14 +29,14 @@ impl Command {
     }
 
     /// Returns the speeds for the servos' profile velocity registers (n) [rad/s]: the largest speed at which the joint
-    /// alone keeps the tool within its speed limit, but at least the slew of the goals and at most the speed limit of
+    /// alone keeps the tool within its speed limit, but at least `Tracking::goal_slew` and at most the speed limit of
     /// the joint. ∞ if neither tool nor joint has a speed limit.
     pub fn speed_limit(&self) -> &[f64] {
         &self.speed_limit[..self.n.min(MAX_JOINTS)]
     }
 }
 
-/// Formats the arm's own joints only, without the padding.
+/// Formats the first n entries only, without the padding.
 impl fmt::Debug for Command {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("Command")

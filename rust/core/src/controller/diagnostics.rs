@@ -9,8 +9,8 @@ use crate::params::Params;
 use crate::pose::Pose;
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
-/// Intermediate results of the last control step. Six-vectors have one entry per task axis, in the order of the task;
-/// entries beyond the task axes are unused.
+/// Intermediate results of the last control step. Of a 6-vector, the first k entries are those of the task axes, in the
+/// order of the task; the rest is unused.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Diagnostics {
     /// Predicted joint positions q̂ [rad].
@@ -25,10 +25,10 @@ pub struct Diagnostics {
     pub task_velocity: AxisVec,
     /// Softness w of each axis for the side from which it is pushed, 0 (stiff) to 1 (soft).
     pub softness: AxisVec,
-    /// Compliance c of each axis by (8), 1 at a small and 0 at a large deviation.
+    /// Compliance c of each axis, equation (8) of the paper: 1 at a small deviation, 0 at a large one.
     pub compliance: AxisVec,
-    /// Present strength of each axis, `w F + (1 − w) hold` [N, N·m]: holding torque τ^x of (9) under law `paper`, force
-    /// cap under the other laws.
+    /// Present strength of each axis, `w F + (1 − w) hold`: under law `paper` the holding torque τ^x [N·m] of equation
+    /// (9) of the paper, under the other laws the force cap [N, N·m].
     pub axis_strength: AxisVec,
     /// Wrench W that the law exerts on the tool along the task axes [N, N·m]; 0 under law `paper`.
     pub wrench: AxisVec,
@@ -40,8 +40,8 @@ pub struct Diagnostics {
     pub gradient: JointVec,
     /// Rows of the Jacobian for the task axes (k × n), in the task frame.
     pub rows: Rows,
-    /// Smallest and largest singular value of the scaled task rows; `None` if the step does not need them, then
-    /// [`Diagnostics::sigma`] computes them.
+    /// Smallest and largest singular value of the scaled task rows; `None` if the step did not need them.
+    /// [`Diagnostics::sigma`] then computes them.
     pub(crate) followed_sigma: Option<[f64; 2]>,
     /// Damping λ of the inverse.
     pub damping: f64,
@@ -50,8 +50,8 @@ pub struct Diagnostics {
     /// Scale factors (0 to 1) of the null-space, soft and stiff parts of the motion, which keep it within the torque
     /// and speed limits.
     pub factors: [f64; 3],
-    /// Factor ≤ 1 by which the delay reduces the gain K_x; under law `impedance`, the factor by which delay and pose
-    /// reduce the stiffness.
+    /// Factor ≤ 1 on the gain K_x, required by the delay; under law `impedance` on the stiffness, required by delay and
+    /// pose.
     pub gain_factor: f64,
     /// True for joints whose torque limit is at the servo's usable torque. Computed by
     /// [`Controller::diagnostics`](crate::Controller::diagnostics).
@@ -60,8 +60,7 @@ pub struct Diagnostics {
     pub locked: [bool; MAX_JOINTS],
     /// True for task axes at their deviation limit.
     pub deviation_limited: [bool; MAX_AXES],
-    /// Reference pose, from which the deviation is computed: the target after the limits on speed, acceleration and
-    /// deviation.
+    /// Reference pose that the arm tracks: the target within the limits on speed, acceleration and deviation.
     pub reference: Pose,
 }
 
@@ -105,17 +104,17 @@ impl Diagnostics {
         step_pseudo_inverse(params, &self.rows, self.damping)
     }
 
-    /// Returns the activation matrix A of (10) over all joints, including locked ones.
+    /// Returns the activation matrix A, equation (10) of the paper, of all joints including locked ones.
     pub(crate) fn shares(&self, params: &Params) -> Activation<JointVec16> {
         Activation::of_step(params, &self.rows, &self.gradient, self.damping, || self.sigma(params))
     }
 
-    /// Returns the activation matrix A of (10) as an n × (k + 1) matrix, the null-space column last.
+    /// Returns the activation matrix A, equation (10) of the paper, n × (k + 1), the null-space column last.
     pub(crate) fn activation(&self, params: &Params) -> DMatrix<f64> {
         self.shares(params).matrix(params.k, params.n)
     }
 
-    /// Returns the responsibility R of (6) and (7), n × (k + 1): `|J⁺ diag(Δx)|`, then the column `|α N∇g|`.
+    /// Returns the responsibility R, equations (6), (7) of the paper, n × (k + 1): `|J⁺ diag(Δx)|`, then `|α N∇g|`.
     pub(crate) fn responsibility(&self, params: &Params) -> DMatrix<f64> {
         let projector = step_projector(params, &self.rows, self.damping, || self.sigma(params));
         let null = product(&projector, &self.gradient);
@@ -127,7 +126,7 @@ impl Diagnostics {
         DMatrix::from_fn(params.k, params.n, |r, i| self.rows[r][i])
     }
 
-    /// Returns all singular values of the scaled task rows, largest first. Computes an SVD; not for use within a step.
+    /// Returns all singular values of the scaled task rows, largest first. Computes an SVD, so a step must not call it.
     pub(crate) fn singular_values(&self, params: &Params) -> DVector<f64> {
         let scaled = |r: usize, i: usize| params.row_scale[r] * self.rows[r][i];
         crate::math::svd::singular_values(&DMatrix::from_fn(params.k, params.n, scaled))

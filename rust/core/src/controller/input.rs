@@ -1,4 +1,4 @@
-//! Validation of the inputs of a control step; later code relies on it.
+//! Validation of the inputs of a control step, on which the code after it relies.
 
 use crate::error::{Error, Result};
 use crate::kinematics::velocity_filter::SPEED_BOUND;
@@ -17,20 +17,20 @@ pub struct StepInput<'a> {
     pub dq: Option<&'a [f64]>,
     /// Velocity of the target, linear then angular, in base axes [m/s, rad/s]; `None`: not fed forward.
     pub twist: Option<&'a [f64; 6]>,
-    /// Gradient (n) of a null-space cost of the user, added to that of the settings.
+    /// Gradient (n) of the user's null-space cost, added to the gradient of the settings' cost.
     pub gradient: Option<&'a [f64]>,
-    /// Rest posture of this step (n) [rad]; `None`: that of the settings, or else the positions at the last reset.
+    /// Rest posture for this step (n) [rad]; `None`: that of the settings, or the positions at the last reset.
     pub posture: Option<&'a [f64]>,
 }
 
-/// Shortest time between two readings that is used as a divisor [s]: readings of the same time must not give infinite
-/// speeds.
+/// Lower bound on the time between two readings [s], so that two readings at the same time do not give an infinite
+/// speed.
 const SHORTEST_PERIOD: f64 = 1e-6;
 
-/// Longest allowed time between two steps [s]. A larger value is usually one in milliseconds.
+/// Longest valid time between two steps [s]; a larger value is probably in milliseconds.
 const LONGEST_PERIOD: f64 = 1.0;
 
-/// Validated inputs of a step; `None` for those that are absent.
+/// Validated inputs of a step; an absent input is `None`.
 #[derive(Default)]
 pub(super) struct Input {
     pub(super) dt: f64,
@@ -41,8 +41,8 @@ pub(super) struct Input {
 }
 
 impl Input {
-    /// Reads and checks the input of a step into `self`: the struct is large and usually almost empty, so it is not
-    /// returned by value.
+    /// Checks the input of a step and stores it in `self`. Returning the large, mostly empty struct by value would copy
+    /// it.
     #[inline]
     pub(super) fn read(&mut self, model: &Model, params: &Params, rate: f64, input: &StepInput<'_>) -> Result<()> {
         self.dt = period(input.dt.unwrap_or(1.0 / rate))?;

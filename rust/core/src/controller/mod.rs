@@ -1,4 +1,4 @@
-//! Controller of one arm: construction, changes while running, control steps, and their results.
+//! Controller of one arm: construction, control steps, changes while running, and results.
 
 mod command;
 mod diagnostics;
@@ -48,7 +48,7 @@ pub struct Controller {
     pub(crate) params: Params,
     pub(crate) masses: GroupMasses,
     payload: Option<Payload>,
-    /// Ramp to the payload during a payload change; otherwise `None`.
+    /// Ramp from the previous payload to the present one; `None` without a recent change.
     payload_ramp: Option<PayloadRamp>,
     pub(crate) gravity: [f64; 3],
     /// Compliance 1/k_g of the gravity offset [rad/(N·m)]; `None` if it was not captured.
@@ -63,7 +63,7 @@ pub struct Controller {
 
 impl Controller {
     /// Creates a controller: validates settings and servos, and computes defaults from sampled configurations of the
-    /// arm (a few milliseconds).
+    /// arm. Takes a few milliseconds.
     ///
     /// # Errors
     /// [`Error::OutOfRange`], [`Error::Shape`] or [`Error::Config`], naming the setting and the remedy.
@@ -103,8 +103,8 @@ impl Controller {
         self.step_impl(q, target, input)
     }
 
-    /// Runs one control step toward the joint positions `q_target` (n) [rad]. The target is their tool pose; they are
-    /// also the rest posture.
+    /// Runs one control step toward the joint positions `q_target` (n) [rad]: their tool pose is the target, and
+    /// `q_target` is the rest posture.
     ///
     /// # Errors
     /// As [`Controller::step`].
@@ -121,15 +121,15 @@ impl Controller {
     /// row is the first step of a controller that was just reset to its q, with unbounded `goal_slew` and
     /// `max_tool_speed`.
     ///
-    /// With `caps` or `adaptation` in the input, each row equals that of a controller whose settings have these values
-    /// as `soft` = `firm` and as `adaptation` of the axes that yield. They may change from step to step: torque limits
-    /// and goals continue within their slew.
+    /// With `caps` or `adaptation` in the input, each row equals that of a controller whose yielding axes have `soft` =
+    /// `firm` = cap, and this adaptation. These values may change from step to step: torque limits and goals stay
+    /// rate-limited.
     ///
     /// # Errors
     /// [`Error::Shape`] for inconsistent lengths; [`Error::Config`] for positions as targets of a task with rotations.
-    /// With [`OnInvalid::Error`] the error of [`Controller::step`] for the first invalid row; `state` is then unchanged
-    /// and the content of `out` is undefined. A command that is not finite is found only during the step: the state of
-    /// that arm is then unchanged, while other arms have been stepped.
+    /// With [`OnInvalid::Error`], the error of [`Controller::step`] for the first invalid row; `state` is then
+    /// unchanged and the content of `out` is undefined. A command that is not finite is detected only after other arms
+    /// have been stepped; the state of its arm is unchanged.
     ///
     /// ```
     /// # use pliant_core::{BatchCommand, BatchInput, BatchState, Controller, Model, ModelOptions, Servos, Settings, Targets};
@@ -162,7 +162,7 @@ impl Controller {
                 free.settings.tracking.goal_slew = f64::INFINITY;
                 free.settings.max_tool_speed = [f64::INFINITY; 2];
                 let step = |arm: &mut Self, one: &ArmInput<'_>, _: Option<&mut [f64]>, out: [&mut [f64]; 3]| {
-                    // The start pose of the governor has no effect here, because its speed is unbounded.
+                    // The speed of the reference is unbounded here, so its start pose has no effect.
                     arm.state = if arm.params.deviation_limits.is_empty() {
                         State::resting(one.q(), one.target)
                     } else {
@@ -216,8 +216,7 @@ impl Controller {
         Ok(())
     }
 
-    /// Replaces the settings while running: goals and torque limits continue from their present values, within their
-    /// slew.
+    /// Replaces the settings while running. Goals and torque limits continue from their present values, rate-limited.
     ///
     /// # Errors
     /// As [`Controller::new`]; the controller is then unchanged.
@@ -284,9 +283,9 @@ impl Controller {
         Ok(())
     }
 
-    /// Sets the measured delay T_d [s] from reading to arrival of the goal.
+    /// Sets the measured delay T_d [s] from the reading of the positions to the arrival of the goal.
     ///
-    /// If the gain of the stiff axes is too high for this delay, it is reduced by [`Controller::gain_factor`].
+    /// If the gain of the stiff axes is too high for this delay, the factor [`Controller::gain_factor`] reduces it.
     ///
     /// # Errors
     /// [`Error::OutOfRange`] outside [0, 0.5].
@@ -304,12 +303,12 @@ impl Controller {
         self.simd_level = simd_level;
     }
 
-    /// Measures the stiffness k_g for the gravity offset on an arm that an integrating goal holds still at `q` (n)
-    /// [rad] with the goals `goal` (n) [rad]. Returns k_g (n) [N·m/rad].
+    /// Measures the stiffness k_g for the gravity offset on an arm that the goals `goal` (n) [rad] hold still at `q`
+    /// (n) [rad], with [`Tracking::integrate`](crate::params::Tracking::integrate). Returns k_g (n) [N·m/rad].
     ///
-    /// `k_g,i = g_i / lead_i` with `lead = goal − q`, within 0.3…3 × the configured `k_p`, where |g_i| exceeds three
-    /// times the torque that friction and one encoder count of the lead can hide; elsewhere k_g is the configured
-    /// `k_p`. It is used for the gravity offset only.
+    /// `k_g,i = g_i / (goal_i − q_i)`, clamped to 0.3 to 3 times the configured `k_p`. Where |g_i| is at most three
+    /// times what friction or one encoder count can hide, k_g is the configured `k_p`. It is used for the gravity
+    /// offset only.
     ///
     /// # Errors
     /// [`Error::Shape`] or [`Error::OutOfRange`] for `q` or `goal`; [`Error::Config`] without `k_p`.
@@ -321,7 +320,7 @@ impl Controller {
         }
         let holding = self.holding_torques(&q);
         let captured = self.params.servos.captured_compliance(self.params.n, &q, &goal, &holding);
-        // Move the change of the gravity offset out of the integrated lead, so that it does not count twice.
+        // Subtract the change of the gravity offset from the integrated lead, so that it does not count twice.
         if self.settings.gravity_use().in_goal() {
             for i in 0..self.params.n {
                 let more = holding[i] * (captured[i] - self.params.gravity_compliance[i]);
@@ -350,10 +349,8 @@ impl Controller {
         }
     }
 
-    /// Creates a controller from a snapshot. If both use the same instruction set, its next step is bit-identical to
-    /// that of the original.
-    ///
-    /// The diagnostics of the last step are not part of the snapshot.
+    /// Creates a controller from a snapshot. Its next step is bit-identical to that of the original if both use the
+    /// same instruction set. The diagnostics of the last step are not part of the snapshot.
     ///
     /// # Errors
     /// As [`Controller::new`], without the check that the servos can hold the arm, and as [`Controller::set_delay`];
@@ -370,7 +367,7 @@ impl Controller {
         if let Some(payload) = &snapshot.payload {
             payload.validate()?;
         }
-        // `set_payload` has already checked, with the settings and gravity of that time, that the servos can hold it.
+        // Not checked again: `set_payload` has checked that the servos can hold the payload.
         controller.payload = snapshot.payload;
         controller.masses = controller.model.chain().masses(snapshot.payload.as_ref());
         controller.gravity = snapshot.gravity;
@@ -433,30 +430,30 @@ impl Controller {
         self.params.k
     }
 
-    /// Returns the strengths of each task axis, defaults filled in.
+    /// Returns the strengths of each task axis, with defaults filled in.
     pub fn axis_strengths(&self) -> Vec<AxisStrength> {
         let strength = |axis: &AxisParams| AxisStrength { soft: axis.soft, firm: axis.firm, hold: axis.hold };
         self.params.per_axis.iter().take(self.params.k).map(strength).collect()
     }
 
-    /// Returns stiffness and damping of each task axis, defaults filled in; all zero except under law `impedance`.
+    /// Returns stiffness and damping of each task axis, with defaults filled in; all zero except under law `impedance`.
     pub fn axis_impedances(&self) -> Vec<AxisImpedance> {
         let impedance = |axis: &AxisParams| AxisImpedance { stiffness: axis.stiffness, damping: axis.damping };
         self.params.per_axis.iter().take(self.params.k).map(impedance).collect()
     }
 
-    /// Returns the damping of the inverse near singular poses, defaults filled in.
+    /// Returns the constants of the inverse kinematics' damping, with defaults filled in.
     pub fn singularity_damping(&self) -> DampingParams {
         self.params.damping
     }
 
-    /// Returns the factor ≤ 1 by which the delay reduces the gain K_x; under law `impedance`, the factor by which delay
-    /// and pose reduced the stiffness in the last step.
+    /// Returns the factor ≤ 1 on the gain K_x, required by the delay; under law `impedance`, the factor on the
+    /// stiffness in the last step, required by delay and pose.
     pub fn gain_factor(&self) -> f64 {
         law::gain_factor(&self.params, self.diagnostics.gain_factor)
     }
 
-    /// Returns the factor ≤ 1 by which delay and pose reduced the damping of law `impedance` in the last step; 1 under
+    /// Returns the factor ≤ 1 on the damping of law `impedance` in the last step, required by delay and pose; 1 under
     /// the other laws.
     pub fn damping_factor(&self) -> f64 {
         law::damping_factor(&self.params, &self.diagnostics.rows)
@@ -479,18 +476,20 @@ impl Controller {
         self.diagnostics.task_jacobian(&self.params)
     }
 
-    /// Returns the activation matrix A of the last step, n × (k + 1), the null-space column last.
+    /// Returns the activation matrix A of the last step, n × (k + 1): the share of each joint in each of the k task
+    /// axes, and in the null space (last column). Equation (10) of the paper.
     pub fn activation(&self) -> DMatrix<f64> {
         self.diagnostics.activation(&self.params)
     }
 
-    /// Returns the responsibility R of the last step, n × (k + 1), the null-space column last.
+    /// Returns the responsibility R of the last step, n × (k + 1): the contribution of each of the k task velocities to
+    /// the velocity of each joint, then that of the null-space motion. Equations (6), (7) of the paper.
     pub fn responsibility(&self) -> DMatrix<f64> {
         self.diagnostics.responsibility(&self.params)
     }
 
-    /// Creates a controller as [`Controller::new`], with a captured compliance 1/k_g (n) [rad/(N·m)] if given, but does
-    /// not check that the servos can hold the arm.
+    /// Creates a controller as [`Controller::new`], without the check that the servos can hold the arm. `captured` is a
+    /// captured compliance 1/k_g (n) [rad/(N·m)].
     #[inline(never)]
     fn build(model: Arc<Model>, settings: Settings, servos: Option<Servos>, captured: Option<&[f64]>) -> Result<Self> {
         let mut joint_space_stats = JointSpaceStats::default();
@@ -532,7 +531,7 @@ impl Controller {
         }
     }
 
-    /// Checks that the rest posture of the settings, if any, holds plausible joint positions.
+    /// Checks that the rest posture of the settings, if any, consists of plausible joint positions.
     fn check_posture(&self, settings: &Settings) -> Result<()> {
         settings
             .null_space
@@ -550,7 +549,7 @@ impl Controller {
         self.state.cold = true;
     }
 
-    /// Returns the gravity torques at `q` with the present payload and gravity vector [N·m].
+    /// Returns the torques [N·m] that hold the arm at `q` with the present payload and gravity vector.
     fn holding_torques(&self, q: &JointVec) -> JointVec {
         let mut frames = JointFrames::default();
         let mut holding = [0.0; MAX_JOINTS];
@@ -638,7 +637,7 @@ impl Controller {
         out.read(&self.model, &self.params, self.settings.rate, input)
     }
 
-    /// Returns a batch with the input `input` and the parameters of this controller.
+    /// Returns the batch of `input` with model, parameters and settings of this controller.
     fn batch<'a>(&'a self, input: &'a BatchInput<'a>) -> Batch<'a> {
         Batch { input, model: &self.model, params: &self.params, settings: &self.settings }
     }
@@ -659,12 +658,12 @@ impl Controller {
         Self { payload_ramp: None, ..self.clone() }
     }
 
-    /// Returns the masses of the arm that the next step uses, those of the ramp during a payload change.
+    /// Returns the masses of the arm for the next step; during a payload change, those of the ramp.
     fn current_masses(&self) -> &GroupMasses {
         self.payload_ramp.as_ref().map_or(&self.masses, |payload_ramp| &payload_ramp.masses)
     }
 
-    /// Advances the payload ramp, if any, by `dt` [s]; removes it at its end.
+    /// Advances the payload ramp, if there is one, by `dt` [s]; removes it at its end.
     fn advance_payload_ramp(&mut self, dt: f64) {
         if let Some(payload_ramp) = &mut self.payload_ramp
             && !payload_ramp.advance(dt, self.model.chain(), self.payload.as_ref())
@@ -678,7 +677,7 @@ impl Controller {
         self.params.positions(&self.model, what, values)
     }
 
-    /// Returns target joint positions; an error if one is outside the range of targets.
+    /// Returns target joint positions; an error if one is implausibly far beyond its position limit.
     pub(crate) fn joint_target(&self, what: &str, values: &[f64]) -> Result<JointVec> {
         let [lowest, highest] = &self.params.joint_targets;
         self.model.joints_between(what, values, lowest, highest)

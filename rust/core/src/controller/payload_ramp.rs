@@ -3,7 +3,7 @@
 use crate::kinematics::GroupMasses;
 use crate::model::{Chain, Payload};
 
-/// Duration of the ramp after a payload change [s]: a wrong or mistimed payload then moves the arm gradually.
+/// Duration of the ramp after a payload change [s], so that a wrong or mistimed payload does not make the arm jump.
 const RAMP_TIME: f64 = 0.5;
 
 /// Linear ramp from one payload to another.
@@ -17,8 +17,8 @@ pub(super) struct PayloadRamp {
     pub(super) masses: GroupMasses,
 }
 
-/// Mass [kg], then first moment (mass times centre of mass) [kg·m] of a payload in the tool frame. Gravity torques are
-/// linear in them, so they can be interpolated.
+/// Mass [kg], then first moment (mass times centre of mass) [kg·m] of a payload in the tool frame. These numbers can be
+/// interpolated, because gravity torques are linear in them.
 pub(super) type MassMoment = [f64; 4];
 
 /// Returns mass and first moment of a payload; zeros for no payload.

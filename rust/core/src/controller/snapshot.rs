@@ -5,15 +5,16 @@ use crate::error::{Error, Result};
 use crate::model::{Payload, finite_vector};
 use crate::pose::COORDINATE_BOUND;
 
-/// Snapshot of a controller without model, settings and servos. Only the same version of this crate can read it.
+/// State and running parameters of a controller, without model, settings and servos. Only the same version of this
+/// crate can read it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Snapshot {
     /// Current payload; `None`: no payload.
     pub payload: Option<Payload>,
     /// Current gravity vector [m/s²], base axes.
     pub gravity: [f64; 3],
-    /// Previous mass [kg], its first moment (3) [kg·m], and time since the change [s] during a payload change;
-    /// otherwise `None`.
+    /// During a payload change: mass [kg] and first moment (3) [kg·m] of the previous payload, and time since the
+    /// change [s]. Otherwise `None`.
     pub payload_ramp: Option<[f64; 5]>,
     /// Current delay T_d [s].
     pub delay: f64,

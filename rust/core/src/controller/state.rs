@@ -16,19 +16,20 @@ pub(crate) struct State {
     pub(crate) filter: VelocityFilter,
     /// Factor γ on feed-forward and prediction, of the last step.
     pub(crate) gamma: f64,
-    /// Last goals, from which the next ones are slewed [rad].
+    /// Goals of the last step [rad], from which the next goals move at a limited speed.
     pub(crate) goal: JointVec,
     /// Part of the last goals that carries gravity [rad].
     pub(crate) gravity_offset: JointVec,
-    /// Last torque limits, from which the next ones are slewed [N·m]; `None` before the first step.
+    /// Torque limits of the last step [N·m], from which the next limits rise at a limited rate; `None` before the first
+    /// step.
     pub(crate) limit: Option<JointVec>,
     pub(crate) singular: SingularValues,
-    /// True if the singular vectors must be computed from scratch.
+    /// True if the singular vectors must be computed without those of a previous step.
     pub(crate) cold: bool,
     pub(crate) governor: ReferenceGovernor,
     /// Positions at the last reset, the default rest posture [rad].
     pub(crate) rest: JointVec,
-    /// Lead stored by the integrating goal [rad].
+    /// Lead that the integrator has stored [rad].
     pub(crate) integral: JointVec,
 }
 
@@ -60,12 +61,12 @@ impl State {
     }
 }
 
-/// Evaluates `$body` with `$numbers` as each slice of the state that a row stores, flags excepted, in the order of the
-/// row; `$n` is the number of joints. A macro, so that slices of constant length are copied in registers: a closure
-/// would be called with a length at run time.
+/// Evaluates `$body` for each field of the state except the flags, in the order of the row; `$numbers` is the field as
+/// a slice, `$n` the number of joints. A macro, because a closure would copy slices whose length is known at run time
+/// only.
 macro_rules! for_each_field {
     ($state:expr, $limit:expr, $n:expr, $numbers:ident => $body:expr) => {{
-        // Destructured without `..`, so that a new field that is not stored is a compile error.
+        // Destructured without `..`, so that a new field does not compile before it is stored.
         let State {
             filter: VelocityFilter { backlash_output, velocity },
             gamma,

@@ -1,6 +1,6 @@
 //! One control step of a single arm, from the measured positions to the command.
 //!
-//! The lines in the docs of the functions are those of the listing in `docs/derivations.md`, "The default law".
+//! Line numbers in the docs of the functions refer to the listing in `docs/derivations.md`, "The default law".
 
 use crate::command::goal::{Goals, JointTargets, profile_velocity, slew};
 use crate::command::host_loss::HostLossBound;
@@ -29,8 +29,8 @@ use crate::task::reference_governor::{ReferenceGovernor, ReferenceHold, hold_fra
 use crate::task::{ArmState, pose_error_by};
 use crate::{MAX_AXES, MAX_JOINTS};
 
-/// Longest time by which one step advances a slew or the integrating goal [s]: the arm must not jump after the host has
-/// stalled.
+/// Largest time step [s] of the rate limits and of the integrator: a longer `dt` is clamped to it, so that the arm does
+/// not jump after the host has stalled.
 const LONGEST_SLEW: f64 = 0.1;
 
 /// Reference pose of the tool in this step, and the deviation from it.
@@ -71,14 +71,14 @@ struct StepSolution<J: JointVector> {
     row_damping: J::Axes,
 }
 
-/// Marks its caller's branch as cold, so that the compiler places it behind the others.
+/// Marks the branch that calls it as unlikely, so that the compiler places that branch out of line.
 #[cold]
 #[inline(never)]
 fn cold() {}
 
 impl Kernel for StepContext<'_> {
-    /// True if the step succeeded; false if positions, target or command are invalid. State, diagnostics and command
-    /// are then those of the last step.
+    /// True if the step succeeded; false if positions, target or command are invalid. In that case state, diagnostics
+    /// and command do not change.
     type Output = bool;
 
     #[inline(always)]
@@ -94,7 +94,7 @@ impl StepContext<'_> {
         self.step_generic::<JointVec16>()
     }
 
-    /// Runs the step, lines 1 to 12; returns false if positions, target or command are invalid.
+    /// Runs the step, lines 1 to 12 of the listing; returns false if positions, target or command are invalid.
     #[inline(always)]
     fn step_generic<J: JointVector>(&mut self) -> bool {
         let (params, settings) = (self.params, self.settings);
@@ -115,8 +115,8 @@ impl StepContext<'_> {
         let error = pose_error_by::<J::Elem>(&arm.view.tool, &reference);
         let deviation = params.to_task_rows(&arm.base_from_task, &error);
         let mut step_reference = StepReference { reference, deviation };
-        // Those of x, y, z, roll, pitch, yaw that are at their deviation limit. An array that is indexed at run time stays
-        // in memory, with the whole struct that holds it.
+        // True for axes (x, y, z, roll, pitch, yaw) at their deviation limit. A local, because an array that is indexed
+        // at run time is kept in memory, and so is the whole struct that contains it.
         let mut limited_axes = [false; MAX_AXES];
         if !params.deviation_limits.is_empty() {
             let (tool, base_from_task) = (arm.view.tool, arm.base_from_task);
@@ -131,7 +131,7 @@ impl StepContext<'_> {
             }
         }
         let twist = match &self.input.twist {
-            // The deviation limit moves the reference, so its velocity is not that of the target.
+            // At a deviation limit, the velocity of the reference differs from that of the target.
             Some(_) if limited_axes.contains(&true) => {
                 params.to_task_rows(&arm.base_from_task, &governor.reference_velocity())
             }
@@ -190,7 +190,8 @@ impl StepContext<'_> {
             (self.state.singular, self.state.cold) = (singular, false);
         }
         self.state.governor = governor;
-        // Do not integrate while the deviation limit moves the reference: the deviation would not decrease.
+        // Do not integrate at a deviation limit: the reference moves with the tool, so the deviation would not
+        // decrease.
         if settings.tracking.integrate > 0.0 && !limited_axes.contains(&true) {
             self.integrate(dt, &arm, &demand, &solved, &locked);
         }
@@ -206,9 +207,9 @@ impl StepContext<'_> {
         true
     }
 
-    /// Computes the joint targets, lines 7 to 11: evaluates the law, and redistributes the motion of joints that would
-    /// exceed a position limit to the others; those are then true in `locked`. Updates `singular` if the settings need
-    /// it.
+    /// Computes the joint targets, lines 7 to 11 of the listing. Evaluates the law, locks the joints that would exceed
+    /// a position limit (true in `locked`) and redistributes their motion to the others. Updates `singular` if the
+    /// settings need it.
     #[inline(always)]
     fn solve<J: JointVector>(
         &self,
@@ -266,7 +267,7 @@ impl StepContext<'_> {
         solved
     }
 
-    /// Adds the lead of stiff axes and null space, without that of locked joints, to the stored lead.
+    /// Integrates the lead of the stiff axes and of the null space, except that of locked joints, into the stored lead.
     #[inline(always)]
     fn integrate<J: JointVector>(
         &mut self,
@@ -292,7 +293,7 @@ impl StepContext<'_> {
         integrator.update(&mut self.state.integral, self.params);
     }
 
-    /// Returns the filtered joint velocity, or that of the input (line 1).
+    /// Returns the filtered joint velocity, or the one given as input; line 1 of the listing.
     #[inline(always)]
     fn filter<J: JointVector>(&self, q: J) -> Filtered<J> {
         if let Some(dq) = &self.input.dq {
@@ -302,7 +303,8 @@ impl StepContext<'_> {
         self.state.filter.update(q, encoder_step, self.settings.tracking.velocity_filter, self.input.dt)
     }
 
-    /// Returns the predicted positions at the arrival of the goal (line 1); the measured ones under law `paper`.
+    /// Returns the predicted positions at the arrival of the goal, line 1 of the listing; under law `paper` the
+    /// measured positions.
     #[inline(always)]
     fn predict<J: JointVector>(&self, q: J, filtered: &Filtered<J>) -> J {
         if !self.params.law.by_force() {
@@ -312,8 +314,8 @@ impl StepContext<'_> {
         J::fma(J::splat(ahead), filtered.velocity, q)
     }
 
-    /// Returns the terms that give the tool the velocity and acceleration of its reference; zero if the settings do not
-    /// limit the tool's speed.
+    /// Returns the feed-forward terms for velocity and acceleration of the reference; zero if the settings do not limit
+    /// the tool's speed.
     #[inline(always)]
     fn pacing<J: JointVector>(
         &self,
@@ -331,8 +333,8 @@ impl StepContext<'_> {
         Pacing::new(self.params, arm, filtered.velocity, &velocity, &change)
     }
 
-    /// Returns the torque limits before floor, ceiling and slew: (11) under law `paper`, otherwise line 12 or the sum
-    /// rule.
+    /// Returns the torque limits before floor, ceiling and rate limit: equation (11) of the paper under law `paper`,
+    /// otherwise line 12 of the listing or the rule `Sum`.
     #[inline(always)]
     fn wanted_limits<J: JointVector>(
         &self,

@@ -1,4 +1,4 @@
-//! Checks of lists and matrices, and their conversion to the fixed-size arrays of the control step.
+//! Checks of lists and matrices, and conversion to fixed-size arrays.
 
 use nalgebra::DMatrix;
 
@@ -6,7 +6,7 @@ use crate::error::{Error, Result};
 use crate::math::rows::JointMatrix;
 use crate::{MAX_AXES, MAX_JOINTS, Rows};
 
-/// Returns [`Error::OutOfRange`] for `value` unless `ok`; `bound` is the allowed range, for the message.
+/// Returns [`Error::OutOfRange`] for `value` unless `ok`; `bound` is the valid range, as text for the message.
 pub(super) fn check(what: impl Into<String>, value: f64, ok: bool, bound: &str) -> Result<()> {
     if ok { Ok(()) } else { Err(Error::out_of_range(what, value, bound)) }
 }
@@ -26,7 +26,7 @@ pub(super) fn finite(what: &str, m: &DMatrix<f64>) -> Result<()> {
     Ok(())
 }
 
-/// Returns a result whose entries are all finite; an error if one overflowed, although all arguments are finite.
+/// Returns `result`, or an error if an entry is not finite because of an overflow.
 pub(super) fn without_overflow(what: &str, result: DMatrix<f64>) -> Result<DMatrix<f64>> {
     if result.iter().all(|value| value.is_finite()) {
         return Ok(result);
@@ -35,7 +35,7 @@ pub(super) fn without_overflow(what: &str, result: DMatrix<f64>) -> Result<DMatr
     Err(Error::config(what, message))
 }
 
-/// Returns `A B`. nalgebra's operator would add its kernels for large matrices, one per instruction set, to the binary.
+/// Returns `A B`. nalgebra's operator would link its kernels for large matrices, one per instruction set.
 pub(super) fn product(a: &DMatrix<f64>, b: &DMatrix<f64>) -> DMatrix<f64> {
     DMatrix::from_fn(a.nrows(), b.ncols(), |i, j| (0..a.ncols()).map(|k| a[(i, k)] * b[(k, j)]).sum())
 }
@@ -51,8 +51,8 @@ pub(super) fn array<const N: usize>(what: &str, values: &[f64], size: usize) -> 
     Ok(out)
 }
 
-/// Converts a matrix of at most six rows and sixteen columns, all entries finite; returns its rows padded with zeros,
-/// and its numbers k of rows and n of columns.
+/// Converts a finite matrix of at most six rows and sixteen columns; returns its rows padded with zeros, the number k
+/// of rows and the number n of columns.
 pub(super) fn task_rows(what: &str, m: &DMatrix<f64>) -> Result<(Rows, usize, usize)> {
     let (k, n) = m.shape();
     if k == 0 || k > MAX_AXES || n == 0 || n > MAX_JOINTS {
@@ -67,7 +67,7 @@ pub(super) fn task_rows(what: &str, m: &DMatrix<f64>) -> Result<(Rows, usize, us
     Ok((rows, k, n))
 }
 
-/// Converts a pseudo-inverse (n × k) to the rows of its transpose; returns these rows, k and n.
+/// Converts a pseudo-inverse (n × k); returns the rows of its transpose padded with zeros, k and n.
 pub(super) fn inverse_rows(pseudo_inverse: &DMatrix<f64>) -> Result<(Rows, usize, usize)> {
     let (n, k) = pseudo_inverse.shape();
     task_rows("J_pinv", &pseudo_inverse.transpose()).map_err(|error| match error {
@@ -79,7 +79,7 @@ pub(super) fn inverse_rows(pseudo_inverse: &DMatrix<f64>) -> Result<(Rows, usize
     })
 }
 
-/// Converts an n × n matrix whose entries are finite; pads it with zeros.
+/// Converts a finite n × n matrix to an array padded with zeros.
 pub(super) fn square(what: &str, m: &DMatrix<f64>, n: usize) -> Result<JointMatrix> {
     if m.shape() != (n, n) {
         let got = format!("({}, {})", m.nrows(), m.ncols());

@@ -1,7 +1,7 @@
-//! The paper's equations as functions, for use with other kinematics.
+//! The paper's equations as functions, for Jacobians from other libraries.
 //!
-//! Equation numbers are the paper's. Matrices are nalgebra's: `J` is k × n with at most six rows, one per task axis,
-//! and at most sixteen columns, one per joint; `J⁺` is n × k. The functions are stateless and independent of a robot.
+//! Matrices are those of nalgebra: `J` is k × n with at most six rows, one per task axis, and at most sixteen columns,
+//! one per joint; `J⁺` is n × k. The functions have no state and need no robot model.
 //!
 //! ```
 //! use pliant_core::nalgebra::DMatrix;
@@ -35,7 +35,7 @@ use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, task};
 
 use arrays::{array, check, finite, inverse_rows, product, same_length, square, task_rows, without_overflow};
 
-/// Computes the damped pseudo-inverse of (3), `J⁺ = Jᵀ (J Jᵀ + λ²I)⁻¹`, n × k.
+/// Computes the damped pseudo-inverse `J⁺ = Jᵀ (J Jᵀ + λ²I)⁻¹`, n × k; equation (3) of the paper.
 ///
 /// `damping` is λ, not λ². λ = 0 gives the Moore–Penrose inverse, also of a rank-deficient matrix.
 ///
@@ -46,7 +46,7 @@ pub fn damped_pseudo_inverse(jacobian: &DMatrix<f64>, damping: f64) -> Result<DM
     let (_, k, n) = task_rows("J", jacobian)?;
     check("damping", damping, damping >= 0.0 && damping.is_finite(), "[0, ∞)")?;
     let squared = damping * damping;
-    // Not from J Jᵀ + λ²I: where J has fewer joints than axes or is singular, a small λ² is lost to rounding there.
+    // By SVD: if J is singular or has more axes than joints, a small λ² would be lost to rounding in J Jᵀ + λ²I.
     let svd = svd(jacobian)?;
     let cutoff = f64::EPSILON * k.max(n) as f64 * svd.sigma.max();
     let gains = svd.sigma.map(|s| if s > cutoff { s / (s * s + squared) } else { 0.0 });
@@ -56,9 +56,9 @@ pub fn damped_pseudo_inverse(jacobian: &DMatrix<f64>, damping: f64) -> Result<DM
 
 /// Computes the null-space projector of `J`, n × n.
 ///
-/// `Exact` is the orthogonal projector `I − Jᵀ (J Jᵀ + μ²I)⁻¹ J`. μ is 0 except near a singular `J`, where it fades the
-/// projector, which would jump there; `damping` is checked but not used. `Paper` is the published `I − J⁺J` with J⁺
-/// damped by λ = `damping`.
+/// `Exact` is the orthogonal projector `I − Jᵀ (J Jᵀ + μ²I)⁻¹ J`. μ is 0 except near a singular `J`, where the
+/// projector would jump and μ fades it; `damping` is checked but not used. `Paper` is `I − J⁺J`, equation (4) of the
+/// paper, with J⁺ damped by λ = `damping`.
 ///
 /// # Errors
 /// As [`damped_pseudo_inverse`].
@@ -79,7 +79,8 @@ pub fn null_space_projector(jacobian: &DMatrix<f64>, damping: f64, kind: Project
     }
 }
 
-/// Computes the responsibility R of (6), (7), n × (k + 1): the columns of `|J⁺ diag(Δx)|` and, last, `|α N∇g|`.
+/// Computes the responsibility R, n × (k + 1): the columns of `|J⁺ diag(Δx)|`, then `|α N∇g|`. Equations (6), (7) of
+/// the paper.
 ///
 /// # Errors
 /// [`Error::Shape`] for inconsistent sizes, [`Error::OutOfRange`] for an entry that is not finite, [`Error::Config`] if
@@ -100,12 +101,11 @@ pub fn responsibility(
     without_overflow("J_pinv", activation::responsibility(&transposed, &dx, &motion, alpha, (k, n)))
 }
 
-/// Computes the activation matrix A of (10), n × (k + 1): the columns of `|J⁺|`, each divided by its sum, and the
-/// null-space column last.
+/// Computes the activation matrix A, n × (k + 1): the columns of `|J⁺|`, each divided by its sum, then the null-space
+/// column. Equation (10) of the paper, in which Δx cancels.
 ///
-/// Δx cancels out of (6) and (10). The last column is `|N∇g|` divided by its sum. Where `N∇g` vanishes, or without a
-/// gradient, the normalized row norms of `N` take its place, blended in continuously. Without redundancy (k ≥ n) it is
-/// 0.
+/// The null-space column is `|N∇g|` divided by its sum. Where `N∇g` vanishes, or without a gradient, it blends into the
+/// normalized row norms of `N`. Without redundancy (k ≥ n) it is 0.
 ///
 /// # Errors
 /// As [`responsibility`].
@@ -127,8 +127,8 @@ pub fn activation(
     without_overflow("J_pinv", Activation::new(&load_rows(&transposed), null).matrix(k, n))
 }
 
-/// Computes the compliance c of (8), one entry per axis: 1 if the absolute deviation is below `soft_until`, 0 above
-/// `firm_from`, linear between.
+/// Computes the compliance c, one entry per axis: 1 if the absolute deviation is below `soft_until`, 0 above
+/// `firm_from`, linear between. Equation (8) of the paper.
 ///
 /// `deviation`, `soft_until` and `firm_from` are in m, or in rad for rotations; deviations may have any sign.
 ///
@@ -149,10 +149,10 @@ pub fn compliance(deviation: &[f64], soft_until: &[f64], firm_from: &[f64]) -> R
         .collect()
 }
 
-/// Computes the holding torque τ^x of (9), one entry per axis: `c soft + (1 − c) firm` if the axis is compliant, else
-/// `hold`.
+/// Computes the holding torque τ^x, one entry per axis: `c soft + (1 − c) firm` if the axis is compliant, else `hold`.
+/// Equation (9) of the paper.
 ///
-/// Does not require soft ≤ firm ≤ hold, which only the settings of a controller do.
+/// Unlike the settings of a controller, it does not require soft ≤ firm ≤ hold.
 ///
 /// # Errors
 /// [`Error::Shape`] for lists of different lengths, [`Error::OutOfRange`] for c outside [0, 1] or a strength not
@@ -173,8 +173,8 @@ pub fn holding_torque(c: &[f64], soft: &[f64], firm: &[f64], hold: &[f64], compl
         .collect()
 }
 
-/// Computes the joint torque limits of (11), `τ^q = A τ^x` [N·m]. `strength` is τ^x [N·m], one entry per column of A,
-/// the null space last.
+/// Computes the joint torque limits `τ^q = A τ^x` [N·m], equation (11) of the paper. `strength` is τ^x [N·m], one entry
+/// per column of A, the null space last.
 ///
 /// # Errors
 /// [`Error::Shape`] for inconsistent sizes, [`Error::OutOfRange`] for an entry that is not finite, [`Error::Config`] if
@@ -200,8 +200,8 @@ pub fn joint_torque_limits(activation: &DMatrix<f64>, strength: &[f64]) -> Resul
     Ok(DVector::from_column_slice(without_overflow("A", limits)?.as_slice()))
 }
 
-/// Computes the intermediate target of (12), in base axes x y z roll pitch yaw: `x_d + η (x − x_d)` on the compliant
-/// axes, `x_d` on the others.
+/// Computes the intermediate target, equation (12) of the paper: `x_d + η (x − x_d)` on the compliant base axes (x, y,
+/// z, roll, pitch, yaw), `x_d` on the others.
 ///
 /// # Errors
 /// As [`Pose::validate`]; [`Error::OutOfRange`] for η outside [0, 1].
@@ -251,7 +251,7 @@ mod tests {
 
     #[test]
     fn a_small_damping_is_exact_with_fewer_joints_than_axes() {
-        // (J Jᵀ + λ²I)⁻¹ of 6 × 6 has five pivots of the size of λ² here; (Jᵀ J + λ²I)⁻¹ is a number.
+        // J Jᵀ + λ²I, 6 × 6, has five eigenvalues λ²: solving with it would lose digits. Jᵀ J + λ²I is 1 × 1.
         let j = jacobian(6, 1);
         for damping in [1e-7, 1e-5, 1e-4, 1e-3, 1e-2, 0.1] {
             let exact = j.transpose() / (j.norm_squared() + damping * damping);

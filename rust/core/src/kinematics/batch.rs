@@ -1,4 +1,4 @@
-//! Kinematics of many configurations: one configuration per SIMD lane, chunks of configurations on all cores.
+//! Kinematics of many configurations: one configuration per SIMD lane, in chunks on all cores.
 
 use rayon::prelude::*;
 
@@ -14,7 +14,8 @@ use crate::model::{Chain, Model};
 use crate::pose::COORDINATE_BOUND;
 use crate::{MAX_AXES, MAX_JOINTS};
 
-/// Configurations per chunk, the work of one task; a batch of at most one chunk runs on the caller's thread.
+/// Number of configurations per chunk, the unit of work of a thread. A batch of at most one chunk runs on the caller's
+/// thread.
 const CHUNK: usize = 4096;
 
 impl Model {
@@ -38,7 +39,7 @@ impl Model {
         let chain = self.chain();
         let nontemporal = size_of_val(poses) + size_of_val(jacobians) >= NONTEMPORAL_MIN_BYTES;
         self.for_each_chunk(q, [(poses, pose), (jacobians, jacobian)], |q, [poses, jacobians]| {
-            // Called outside the kernel: a closure inside it would be compiled for the baseline instruction set.
+            // Outside the kernel, because a closure inside it would be compiled for the baseline instruction set.
             with_nontemporal(nontemporal, |writer| {
                 SimdLevel::detect().dispatch(PoseChunk { chain, q, reference, writer, poses, jacobians });
             });
@@ -62,8 +63,8 @@ impl Model {
         if q.len().is_multiple_of(self.n()) { Ok(q.len() / self.n()) } else { Err(Error::rows("Q", q.len(), self.n())) }
     }
 
-    /// Checks all configurations and calls `work` for each chunk with its parts of the outputs. Each output comes with
-    /// its count of numbers per configuration.
+    /// Checks all configurations, and calls `work` for each chunk with the parts of the outputs that belong to it. Each
+    /// output is given with its number of values per configuration.
     fn for_each_chunk(
         &self,
         q: &[f64],
@@ -72,15 +73,15 @@ impl Model {
     ) -> Result<()> {
         let n = self.n();
         let chunk = |(q, outs): (&[f64], [&mut [f64]; 2])| {
-            // Checked per chunk, so that `work` finds the numbers in the cache.
-            let fine = q.iter().fold(true, |fine, value| fine & (value.abs() <= COORDINATE_BOUND));
-            if fine {
+            // Checked per chunk, so that the numbers are in the cache for `work`.
+            let is_valid = q.iter().fold(true, |valid, value| valid & (value.abs() <= COORDINATE_BOUND));
+            if is_valid {
                 work(q, outs);
             }
-            fine
+            is_valid
         };
         let [(first, one), (second, two)] = outs;
-        let fine = if q.len() <= CHUNK * n {
+        let is_valid = if q.len() <= CHUNK * n {
             chunk((q, [first, second]))
         } else {
             let mut parts = Vec::with_capacity(q.len() / (CHUNK * n) + 1);
@@ -94,7 +95,7 @@ impl Model {
             }
             install(|| parts.into_par_iter().map(chunk).reduce(|| true, |a, b| a & b))?
         };
-        if fine {
+        if is_valid {
             return Ok(());
         }
         for (row, q) in q.chunks_exact(n).enumerate() {
@@ -108,13 +109,13 @@ fn check(what: &str, values: &[f64], expected: usize) -> Result<()> {
     if values.len() == expected { Ok(()) } else { Err(Error::length(what, values.len(), expected)) }
 }
 
-/// Loads `size` numbers of one configuration per lane, at most sixteen, from consecutive rows of `values`, each `size`
-/// long. Entries after `size` are undefined; if there are fewer rows than lanes, the last row is repeated.
+/// Loads one configuration per lane: consecutive rows of `values`, each of `size` ≤ 16 numbers. Entries after `size`
+/// are undefined. If there are fewer rows than lanes, the last row is repeated.
 #[inline(always)]
 pub(crate) fn gather<A: SoaLanes>(values: &[f64], size: usize) -> [A; MAX_JOINTS] {
     let last;
     let mut rows = values;
-    // Eight numbers are loaded at a time, which may read past the end of a row into the next.
+    // Loads of eight numbers may read past the end of a row into the next.
     if values.len() < A::COUNT * size + LANES {
         last = last_rows(values, size);
         rows = &last;
@@ -131,7 +132,7 @@ pub(crate) fn gather<A: SoaLanes>(values: &[f64], size: usize) -> [A; MAX_JOINTS
     out
 }
 
-/// Copies the remaining rows, fewer than a full load needs, and repeats the last one.
+/// Copies the last rows, which are fewer than a full load reads, and repeats the last one.
 #[cold]
 #[inline(never)]
 fn last_rows(values: &[f64], size: usize) -> [f64; LANES * MAX_JOINTS + LANES] {
@@ -142,10 +143,10 @@ fn last_rows(values: &[f64], size: usize) -> [f64; LANES * MAX_JOINTS + LANES] {
     out
 }
 
-/// Stores the first `size` numbers of one configuration per lane into the first rows of `out`, each `size` long. The
-/// length of `numbers` must be a multiple of eight.
+/// Stores one configuration per lane: its first `size` numbers become a row of `out`. The length of `numbers` must be a
+/// multiple of eight.
 ///
-/// Values of `out` after these rows may be overwritten: the caller writes the next rows there.
+/// May overwrite values of `out` after these rows; the caller writes the next rows there.
 #[inline(always)]
 pub(crate) fn scatter<A: SoaLanes>(numbers: &[A], size: usize, out: &mut [f64]) {
     if out.len() >= A::COUNT * size + LANES {
@@ -158,7 +159,7 @@ pub(crate) fn scatter<A: SoaLanes>(numbers: &[A], size: usize, out: &mut [f64]) 
     }
 }
 
-/// Stores as [`scatter`] into an `out` that has room for eight more numbers after the last row.
+/// Stores as [`scatter`]; `out` has room for at least eight numbers after the last row.
 #[inline(always)]
 fn store_chunk<A: SoaLanes>(numbers: &[A], size: usize, out: &mut [f64]) {
     let (eights, mut from) = (numbers.as_chunks::<LANES>().0, size.div_ceil(LANES));
@@ -171,7 +172,7 @@ fn store_chunk<A: SoaLanes>(numbers: &[A], size: usize, out: &mut [f64]) {
     }
 }
 
-/// Copies the first `out.len()` numbers of `rows` to `out`; a `writer` does it with non-temporal stores.
+/// Copies the first `out.len()` numbers of `rows` to `out`, with non-temporal stores if there is a `writer`.
 #[inline(always)]
 fn write_rows<'a>(rows: &[f64], out: &'a mut [f64], writer: Option<&NonTemporalWriter<'a>>) {
     let rows = &rows[..out.len()];
@@ -181,9 +182,8 @@ fn write_rows<'a>(rows: &[f64], out: &'a mut [f64], writer: Option<&NonTemporalW
     }
 }
 
-/// Number of configurations whose results are staged in a buffer before they are copied to the output in one block; a
-/// multiple of the lane count of every register. Storing directly into the rows of several Jacobians would be too many
-/// write streams.
+/// Number of configurations whose results are collected in a buffer and then copied to the output in one block: storing
+/// directly into the rows of several Jacobians would be too many write streams. A multiple of every lane count.
 const STAGING_ROWS: usize = 8;
 
 /// Inputs and output slices for the poses and Jacobians of one chunk of configurations.

@@ -8,14 +8,13 @@ use crate::{JointVec, MAX_JOINTS};
 
 /// Frames of all moving joints and of the tool, in the base.
 ///
-/// The first joints are those between base and tip, base first. After them come joints beside the path that follow a
-/// coordinate of the chain (the other finger of a gripper): they carry mass but do not move the tool. Further entries
-/// are 0.
+/// The first joints are those between base and tip, base first. After them come mimic joints beside the path, such as
+/// the second finger of a gripper: they carry mass but do not move the tool. Further entries are 0.
 #[derive(Debug, Clone, PartialEq)]
 pub struct JointFrames<R = f64> {
     /// Unit axis of each joint, in the base.
     pub axis: [[R; 3]; MAX_JOINTS],
-    /// Origin of the frame after each joint [m], a point on the joint's axis; a prismatic joint moves it along the
+    /// Origin of the frame after each joint [m]: a point on the joint's axis, which a prismatic joint moves along the
     /// axis.
     pub origin: [[R; 3]; MAX_JOINTS],
     /// Rotation `base_from_joint` of the frame after each joint; its z axis is the joint's axis.
@@ -25,7 +24,7 @@ pub struct JointFrames<R = f64> {
 }
 
 impl<R: Copy> JointFrames<R> {
-    /// Creates frames whose entries are all `value`, as memory for a forward pass.
+    /// Creates frames with all entries `value`, as memory for a forward pass.
     pub(crate) fn filled(value: R) -> Self {
         let three = [value; 3];
         Self {
@@ -58,7 +57,7 @@ impl<A: RealOps> Visitor<ScalarVec3<A>> for JointFrames<A::Real> {
     }
 }
 
-/// Ignores the joint frames, for a pass that computes the tool pose only.
+/// Ignores the joint frames; for a pass that computes only the tool pose.
 impl<T> Visitor<T> for () {
     #[inline(always)]
     fn visit_joint(&mut self, _: usize, _: &[T; 3], _: T) {}
@@ -89,17 +88,17 @@ struct JointTrig<R> {
     slide: R,
 }
 
-/// Computes the motion of a joint with coordinate `q`; `angle` [rad] and `slide` [m] are given as `[per q, offset]`.
+/// Computes the motion of a joint driven by `q`; `angle` [rad] and `slide` [m] are `[slope per unit of q, offset]`.
 #[inline(always)]
 fn joint_trig<A: RealOps>(q: A::Real, angle: [A::Real; 2], slide: [A::Real; 2]) -> JointTrig<A::Real> {
     let (sine, cosine) = sin_cos::<A>(A::fma(angle[0], q, angle[1]));
     JointTrig { sine, cosine, slide: A::fma(slide[0], q, slide[1]) }
 }
 
-/// Motions of up to `N` joints at `q`.
+/// Motions of up to `N` joints at the positions `q`.
 pub(super) struct JointTrigs<'a, R, const N: usize = MAX_JOINTS> {
     q: &'a [R; MAX_JOINTS],
-    /// Sines, cosines and displacements [m]; 0 for several configurations, where each joint's are computed when needed.
+    /// Sines, cosines and displacements [m]. With several configurations all 0, because each is computed when needed.
     all: [[R; N]; 3],
 }
 
@@ -134,7 +133,8 @@ impl Chain {
         }
     }
 
-    /// Computes the motions of the first `count` joints at `q`; for several configurations only refers to `q`.
+    /// Computes the motions of the first `count` joints at `q`; with several configurations only stores the reference
+    /// to `q`.
     #[inline(always)]
     pub(super) fn joint_trigs<'a, A: RealOps>(
         &self,
@@ -142,7 +142,7 @@ impl Chain {
         count: usize,
     ) -> JointTrigs<'a, A::Real> {
         let mut all = [[A::splat(0.0); MAX_JOINTS]; 3];
-        // For several configurations each motion is computed when its joint is reached, see `advance_frame`.
+        // With several configurations, `advance_frame` computes each motion when its joint is reached.
         if !A::WIDE {
             for k in 0..count.min(MAX_JOINTS) {
                 let JointTrig { sine, cosine, slide } = self.joint_trig::<A>(k, q);
@@ -152,7 +152,7 @@ impl Chain {
         JointTrigs { q, all }
     }
 
-    /// Computes the motions at `q` of the joints of a simple chain, one joint per lane.
+    /// Computes the motions of the joints of a simple chain (see `Chain::simple`) at `q`, one joint per lane.
     #[inline(always)]
     pub(super) fn joint_trigs_simd<J: JointVector, const N: usize>(&self, q: J) -> JointTrigs<'static, f64, N> {
         let (sine, cosine) = sin_cos::<J>(q + J::load(&self.angle_offset));
@@ -168,8 +168,8 @@ impl Chain {
         )
     }
 
-    /// Computes the frames from base to tool, passes those of the joints to `visitor` and returns the tool pose. With
-    /// `SLIDES` false all joints must be revolute.
+    /// Computes the frames from base to tool, passes each joint frame to `visitor` and returns the tool pose. With
+    /// `SLIDES` false, all joints must be revolute.
     #[inline(always)]
     pub(super) fn forward_pass<T: Vec3Ops, const N: usize, const SLIDES: bool>(
         &self,
@@ -194,8 +194,8 @@ impl Chain {
     /// Returns axes and origin of the frame after joint `k`, from those of the frame before it:
     /// `T(offset) · Rx(tilt) · Rz(angle) · T(slide z)`.
     ///
-    /// Any rotation is `Rz · Rx · Rz`. The last Rz is added to the joint's angle, and the first one to the joint angle
-    /// of the previous frame. So two planar rotations remain.
+    /// Any fixed rotation between joints is `Rz · Rx · Rz`. The model adds its last Rz to this joint's angle and its
+    /// first Rz to the angle of the previous joint, so only two planar rotations remain.
     #[inline(always)]
     fn advance_frame<T: Vec3Ops, const N: usize, const SLIDES: bool>(
         &self,
@@ -212,8 +212,7 @@ impl Chain {
         };
         let (st, ct) = (T::Elem::splat(self.tilt[k].0), T::Elem::splat(self.tilt[k].1));
         let (tilted, axis) = (y.scaled(ct).add_scaled(st, z), z.scaled(ct).sub_scaled(st, y));
-        // The tilted axis is ready last, so it enters in the last multiply-add: this dependency chain is the latency
-        // per joint.
+        // The tilted axis is ready last, so it enters in the last multiply-add: this chain determines the latency.
         let axes = [x.scaled(c).add_scaled(s, tilted), x.scaled(-s).add_scaled(c, tilted), axis];
         let mut origin = transform_point(&[x, y, z], &self.offset[k], origin);
         if SLIDES && self.slides[k] {
@@ -223,7 +222,7 @@ impl Chain {
     }
 }
 
-/// Transforms a point from the frame with these axes and this origin into the base.
+/// Transforms a point from a frame, given by its axes and its origin, into the base.
 #[inline(always)]
 pub(super) fn transform_point<T: Vec3Ops>(axes: &[T; 3], point: &Vec3, origin: T) -> T {
     let [x, y, z] = splat::<T::Elem>(point);

@@ -1,5 +1,5 @@
-//! Tool pose, Jacobian and gravity torques for the control step, computed together; after the frames, one joint per
-//! SIMD lane.
+//! Tool pose, Jacobian and gravity torques for the control step, computed together. After the forward pass, each SIMD
+//! lane computes one joint.
 
 use super::forward::{JointFrames, Visitor, transform_point};
 use super::gravity::GroupMasses;
@@ -42,8 +42,8 @@ impl KinematicScratch {
 #[derive(Debug, Clone)]
 struct SimpleScratch {
     cells: JointAxes<MAX_JOINTS>,
-    /// First moment about each joint's origin [kg·m], base axes: of the joint's own group, then of everything it
-    /// carries.
+    /// First moment [kg·m] in base axes: at first of each joint's rigid group, later about the joint's origin and of
+    /// everything that the joint carries.
     moments: [PaddedVec3; MAX_JOINTS],
 }
 
@@ -94,8 +94,8 @@ impl<T: StoreVec3> Visitor<T> for WithMasses<'_> {
 }
 
 impl Chain {
-    /// Computes tool pose, Jacobian and gravity torques at `q`. `weight` holds the masses and gravity [m/s²] in the
-    /// base; the torques are 0 if it is `None`.
+    /// Computes tool pose, Jacobian and gravity torques at `q`. `weight` is the masses and gravity [m/s²] in base axes;
+    /// `None`: the torques are 0.
     #[inline(always)]
     pub(crate) fn evaluate<J: JointVector>(
         &self,
@@ -132,13 +132,14 @@ impl Chain {
         };
         let tool =
             self.forward_pass::<J::Vec3, MAX_JOINTS, false>(&joint_trigs, &mut WithMasses { cells, moments, masses });
-        // First moments S − M o as in [`Chain::gravity`]. `subtree` and `mass` are S and M of the groups beyond the
-        // joint's own, whose origin cancels.
+        // Replace each moment by S − M o, where S and M are first moment and mass of everything beyond the joint and o
+        // is its origin, as in [`Chain::gravity`]. `subtree` and `mass` are S and M without the joint's own group,
+        // whose moment is already relative to o.
         let (mut subtree, mut mass) = (J::Vec3::constant(&[0.0; 3]), 0.0);
         for k in (0..self.path.min(MAX_JOINTS)).rev() {
             let (group, origin) = (J::Vec3::load(&moments[k]), J::Vec3::load(&cells.origin[k]));
             group.sub_scaled(mass, origin).add_scaled(1.0, subtree).store(&mut moments[k]);
-            // Terms that do not depend on the previous joint come first, to shorten the dependency chain.
+            // The terms that do not depend on other joints come first, to shorten the dependency chain.
             subtree = group.add_scaled(masses.mass[k], origin).add_scaled(1.0, subtree);
             mass += masses.mass[k];
         }
@@ -147,7 +148,7 @@ impl Chain {
         KinematicState { tool, j_base, holding }
     }
 
-    /// Computes tool pose and Jacobian at `q` of an arm in which each coordinate drives one joint.
+    /// Computes tool pose and Jacobian at `q` of a simple chain (see `Chain::simple`) of at most eight joints.
     #[inline(always)]
     pub(super) fn pose_and_jacobian<J: JointVector>(&self, q: &JointVec, rows: &mut Rows) -> Pose {
         let mut cells = JointAxes::<LANES>::new();

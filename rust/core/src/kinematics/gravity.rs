@@ -8,8 +8,7 @@ use crate::{JointVec, MAX_JOINTS};
 
 /// Mass [kg] and first moment (mass times centre of mass [kg·m]) of the rigid group of links that each joint carries.
 ///
-/// Expressed in the frame after the joint, see [`JointFrames::rotation`]; the group of the last joint before the tool
-/// includes the payload.
+/// The group of the last joint before the tool includes the payload.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct GroupMasses {
     /// Mass of each group [kg].
@@ -34,9 +33,9 @@ impl Chain {
 
     /// Computes the torques [N·m, N for prismatic joints] that hold the arm at rest; `g` [m/s²] in the base.
     ///
-    /// They are the gradient of the potential energy `−Σ mᵢ g·cᵢ`. Summed from the tips to the base: with the mass `M`
-    /// and the first moment `S` of everything beyond a joint with origin `o` and axis `z`, `τ = −g·(z × (S − M o))`,
-    /// and `−M g·z` for a prismatic joint.
+    /// They are the gradient of the potential energy `−Σ mᵢ g·cᵢ`, computed from the tips to the base: a joint with
+    /// origin `o` and axis `z` that carries the mass `M` with first moment `S` has the torque `τ = −g·(z × (S − M o))`,
+    /// a prismatic joint the force `−M g·z`.
     pub fn gravity(&self, frames: &JointFrames, masses: &GroupMasses, g: [f64; 3], out: &mut JointVec) {
         self.gravity_by::<BaselineF64>(frames, masses, &g, out);
     }
@@ -62,7 +61,7 @@ impl Chain {
             }
             return;
         }
-        // Masses of the joints beside the path, summed per joint that carries them.
+        // Masses of the joints beside the path, added to the joint that carries them.
         let mut sides = [massless; MAX_JOINTS];
         for k in (self.path..self.total.min(MAX_JOINTS)).rev() {
             let load = self.joint_gravity::<A>(k, frames, masses, &g, &sides[k], out);
@@ -75,7 +74,7 @@ impl Chain {
         }
     }
 
-    /// Adds the torque of joint `k`, which carries its own group and the masses `subtree`; returns the sum of both
+    /// Adds the torque of joint `k`, which carries its rigid group and `subtree`, to `out`; returns the sum of both
     /// masses.
     #[inline(always)]
     fn joint_gravity<A: RealOps>(
@@ -89,7 +88,7 @@ impl Chain {
     ) -> SubtreeMass<A::Real> {
         let (axis, origin) = (&frames.axis[k], &frames.origin[k]);
         let moment = place::<A>(&frames.rotation[k], &splat::<A>(&masses.moment[k]), &subtree.moment);
-        // S − M o. The part of S that the own group's origin contributes cancels with its part of M o.
+        // S − M o. For the joint's own group, the contribution of the origin to S cancels with that to M o.
         let arm = sub::<A>(&moment, &scale::<A>(A::splat(subtree.mass), origin));
         let torque = dot::<A>(&arm, &cross::<A>(g, axis));
         let slot = &mut out[self.driver[k] & (MAX_JOINTS - 1)];

@@ -1,9 +1,9 @@
 //! Inverse kinematics: pose → joint positions; not used by the control step.
 //!
 //! Damped least squares, `dq = Jᵀ (J Jᵀ + μ I)⁻¹ e` with `μ = ½|e|² + ε`: far from the target the damping bounds the
-//! steps at singular poses, near it the method is Newton's (Sugihara, T-RO 2011). A joint at its limit that is pushed
-//! outward leaves the solve, so that the others make the remaining motion. A search that stalls restarts from a few
-//! fixed seeds.
+//! steps at singular poses, near it the method approaches Newton's (Sugihara, T-RO 2011). A joint that would move
+//! beyond its limit is left out, and the others make the remaining motion. A search that stalls restarts from fixed
+//! seeds.
 
 use std::fmt;
 
@@ -19,7 +19,7 @@ use crate::{JointVec, MAX_AXES, MAX_JOINTS, Rows};
 /// Options of [`Model::inverse_kinematics`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct IkOptions {
-    /// Axes of the base (x y z, then rotations about them) on which the tool must match the target; the others are
+    /// Axes of the base (x, y, z, then rotations about them) along which the tool must match the target; the others are
     /// free.
     pub axes: [bool; 6],
     /// Position error [m] up to which a result counts as converged.
@@ -286,7 +286,7 @@ impl IkSolver<'_> {
         q
     }
 
-    /// Returns the `index`-th Halton point of the joint ranges; continuous joints within ±π.
+    /// Returns the `index`-th Halton point of the joint ranges; for continuous joints within ±π.
     fn restart_seed(&self, index: usize) -> JointVec {
         halton::joints(self.model.lower(), self.model.upper(), u32::try_from(index).unwrap_or(u32::MAX))
     }

@@ -8,8 +8,8 @@ use crate::model::Chain;
 use crate::pose::Pose;
 use crate::{JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
-/// Visitor that stores each joint's origin in the linear rows and its axis in the angular rows, since the tool position
-/// is not yet known.
+/// Visitor that stores each joint's origin in the linear rows and its axis in the angular rows. The linear rows are
+/// completed once the tool position is known.
 struct OriginsAndAxes<'a, R>(&'a mut [[R; MAX_JOINTS]; MAX_AXES]);
 
 impl<A: RealOps> Visitor<ScalarVec3<A>> for OriginsAndAxes<'_, A::Real> {
@@ -27,8 +27,9 @@ impl Chain {
     /// Computes the geometric Jacobian at the tool, base axes, linear rows first [m/rad, rad/rad; m/m, rad/m for
     /// prismatic joints].
     ///
-    /// A revolute joint at `o` with axis `z` moves the tool at `p` with `[z × (p − o); z]`, a prismatic joint with `[z;
-    /// 0]`. A mimic joint adds its column, times its multiplier, to the column of its driver.
+    /// The column of a revolute joint at `o` with axis `z` is `[z × (p − o); z]` for the tool at `p`, that of a
+    /// prismatic joint `[z; 0]`. A mimic joint adds its column times its multiplier to the column of the joint that
+    /// drives it.
     pub fn jacobian(&self, frames: &JointFrames, rows: &mut Rows) {
         self.jacobian_by::<BaselineF64>(frames, rows);
     }
@@ -110,7 +111,7 @@ pub(crate) fn task_rows(j_base: &Rows, base_from_task: &[[f64; 3]; 3], axes: &[u
     store_rows(&rotated_rows::<JointVec16>(&load_rows(j_base), base_from_task, axes))
 }
 
-/// Returns the row of [`task_rows`] of one axis alone.
+/// Returns the row of [`task_rows`] for one axis.
 pub(crate) fn task_row(j_base: &Rows, base_from_task: &Mat3, axis: usize) -> JointVec {
     let ((block, column), mut out) = (block_and_column(axis), [0.0; MAX_JOINTS]);
     let along = [base_from_task[0][column], base_from_task[1][column], base_from_task[2][column]];
@@ -120,8 +121,8 @@ pub(crate) fn task_row(j_base: &Rows, base_from_task: &Mat3, axis: usize) -> Joi
     out
 }
 
-/// Returns the first row of the Jacobian's block, linear or angular, to which a task axis belongs, and the column of
-/// the axis in the task frame.
+/// Returns the first row of the Jacobian's block of a task axis (0: linear, 3: angular), and the index of the axis (0
+/// to 2) in the task frame.
 #[inline(always)]
 fn block_and_column(axis: usize) -> (usize, usize) {
     if axis < 3 { (0, axis) } else { (3, (axis - 3) % 3) }

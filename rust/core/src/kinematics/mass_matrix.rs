@@ -8,7 +8,7 @@ use crate::math::simd::BaselineF64;
 use crate::math::spatial::{Mat3, Vec3, add, cross, dot, rotate, sub};
 use crate::model::Chain;
 
-/// Moments of zeroth to second order of the masses beyond a joint, in base axes about the base's origin.
+/// Mass and first and second moments of everything beyond a joint, in base axes about the base's origin.
 #[derive(Clone, Copy)]
 struct CompositeMass {
     /// Total mass Σ m [kg].
@@ -31,8 +31,8 @@ impl CompositeMass {
         }
     }
 
-    /// Returns the momentum [kg·m/s] and the angular momentum about the base's origin [kg·m²/s] of all masses while
-    /// they rotate at 1 rad/s about an axis through `o`.
+    /// Returns momentum [kg·m/s] and angular momentum about the base's origin [kg·m²/s] of all masses for a rotation at
+    /// 1 rad/s about an axis through `o`.
     #[inline]
     fn turning(&self, axis: &Vec3, o: &Vec3) -> (Vec3, Vec3) {
         // Σ m z × (c − o), and Σ m c × (z × (c − o)) with c × (z × c) = (c·c) z − c (c·z).
@@ -42,8 +42,8 @@ impl CompositeMass {
         (momentum, sub::<BaselineF64>(&angular, &cross::<BaselineF64>(&self.first, &cross::<BaselineF64>(axis, o))))
     }
 
-    /// Returns the momentum [kg·m/s] and the angular momentum about the base's origin [kg·m²/s] of all masses while
-    /// they move at 1 m/s along an axis.
+    /// Returns momentum [kg·m/s] and angular momentum about the base's origin [kg·m²/s] of all masses for a motion at 1
+    /// m/s along an axis.
     #[inline]
     fn sliding(&self, axis: &Vec3) -> (Vec3, Vec3) {
         (axis.map(|z| self.mass * z), cross::<BaselineF64>(&self.first, axis))

@@ -115,7 +115,7 @@ impl Chain {
         level.dispatch_narrow(Kinematics { chain: self, q, reference, rows })
     }
 
-    /// Returns true if each coordinate drives exactly one joint, with factor 1, and there are at most eight.
+    /// Returns true for a simple chain (see [`Chain::simple`]) of at most eight joints.
     const fn fits_f64x8(&self) -> bool {
         self.simple && self.n <= LANES
     }
@@ -145,7 +145,7 @@ impl Kernel for Forward<'_> {
     }
 }
 
-/// Inputs for the gravity torques at one configuration, and the Jacobian's rows in base axes if they are asked for.
+/// Inputs for the gravity torques at one configuration; also computes the Jacobian in base axes if `rows` is given.
 pub(crate) struct Statics<'a> {
     pub(crate) chain: &'a Chain,
     pub(crate) masses: &'a GroupMasses,
@@ -155,7 +155,7 @@ pub(crate) struct Statics<'a> {
 }
 
 impl Kernel for Statics<'_> {
-    /// Torques that hold the arm [N·m], with the same bits as those of a batch.
+    /// Torques that hold the arm [N·m], bit-identical to those of a batch.
     type Output = JointVec;
 
     #[inline(always)]

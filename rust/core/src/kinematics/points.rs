@@ -1,4 +1,4 @@
-//! Positions, Jacobians and effective masses of joint origins and tool, and the arm's mass matrix.
+//! Positions, Jacobians and effective masses of points of the arm (joint origins and tool), and its mass matrix.
 
 use nalgebra::{Matrix3, Rotation3, Unit, Vector3};
 
@@ -16,12 +16,12 @@ const MIN_SPEED: f64 = 1e-9;
 /// Geometry of a moving joint between base and tip.
 #[derive(Debug, Clone)]
 struct PathJoint {
-    /// Index of the coordinate that drives the joint, directly or by mimic.
-    coordinate: usize,
+    /// Index in q of the independent joint that drives this joint (itself, or by mimic).
+    q_index: usize,
     prismatic: bool,
-    /// Joint motion per motion of the coordinate; 1 for a joint that is not a mimic.
+    /// Joint motion per motion of the independent joint; 1 for a joint that is not a mimic.
     multiplier: f64,
-    /// Joint value at coordinate 0 [rad or m].
+    /// Joint value at position 0 of the independent joint [rad or m].
     offset: f64,
     axis: Unit<Vector3<f64>>,
     /// Rotation part of the fixed transform to the frame that the previous joint moves.
@@ -31,7 +31,7 @@ struct PathJoint {
 }
 
 impl PathJoint {
-    /// Returns the linear and angular velocity of a point [m/s, rad/s] at unit speed of the coordinate.
+    /// Returns the linear and angular velocity of a point [m/s, rad/s] at unit speed of the independent joint.
     fn motion(&self, axis: &Vector3<f64>, origin: &Vector3<f64>, point: &Vector3<f64>) -> [Vector3<f64>; 2] {
         let [linear, angular] =
             if self.prismatic { [*axis, Vector3::zeros()] } else { [axis.cross(&(point - origin)), *axis] };
@@ -75,7 +75,7 @@ impl RigidBody {
 pub struct ArmPoints {
     n: usize,
     joints: Vec<PathJoint>,
-    /// Body that each joint carries.
+    /// Rigid body between each joint and the next.
     bodies: Vec<RigidBody>,
     /// Position of the tool in the frame that the last joint moves [m].
     tool: Vector3<f64>,
@@ -103,7 +103,7 @@ impl ArmPoints {
         let mut fixed = Frame::identity();
         for j in path(model) {
             let joint = &model.joints()[j];
-            let Some(coordinate) = joint.q_index else {
+            let Some(q_index) = joint.q_index else {
                 fixed = fixed.then(&Frame::of_fixed_joint(model, joint));
                 continue;
             };
@@ -111,7 +111,7 @@ impl ArmPoints {
             let (multiplier, offset) = joint.mimic.map_or((1.0, 0.0), |mimic| (mimic.multiplier, mimic.offset));
             moved_by[joint.child] = Some(points.joints.len());
             points.joints.push(PathJoint {
-                coordinate,
+                q_index,
                 prismatic: joint.kind == JointKind::Prismatic,
                 multiplier,
                 offset,
@@ -143,7 +143,7 @@ impl ArmPoints {
         for (k, (joint, body)) in self.joints.iter().zip(&self.bodies).enumerate() {
             p += turn * joint.translation;
             turn *= joint.rotation;
-            let value = joint.multiplier * q[joint.coordinate] + joint.offset;
+            let value = joint.multiplier * q[joint.q_index] + joint.offset;
             axes[k] = turn * joint.axis.into_inner();
             if joint.prismatic {
                 p += axes[k] * value;
@@ -171,13 +171,13 @@ impl ArmPoints {
         for (j, joint) in self.joints.iter().enumerate().take(k + 1) {
             let [linear, _] = joint.motion(&axes[j], &origins[j], point);
             for (row, speed) in out.jacobian[k].iter_mut().zip(&linear) {
-                row[joint.coordinate] += speed;
+                row[joint.q_index] += speed;
             }
         }
     }
 
-    /// Adds `m J_vᵀ J_v + J_ωᵀ I J_ω` of the body of joint `k` to the mass matrix; `com` is its centre of mass and
-    /// `turn` its rotation, in base axes.
+    /// Adds `m J_vᵀ J_v + J_ωᵀ I J_ω` of the body after joint `k` to the mass matrix; `com` is the body's centre of
+    /// mass and `turn` its rotation, in base axes.
     #[expect(clippy::too_many_arguments, reason = "state of one forward pass")]
     fn add_body(
         &self,
@@ -193,8 +193,8 @@ impl ArmPoints {
         let mut motions = [[Vector3::zeros(); 2]; MAX_JOINTS];
         for (j, joint) in self.joints.iter().enumerate().take(k + 1) {
             let [linear, angular] = joint.motion(&axes[j], &origins[j], com);
-            motions[joint.coordinate][0] += linear;
-            motions[joint.coordinate][1] += angular;
+            motions[joint.q_index][0] += linear;
+            motions[joint.q_index][1] += angular;
         }
         let motions = &motions[..self.n];
         for (row, [linear, angular]) in inertia.iter_mut().zip(motions) {
@@ -270,8 +270,8 @@ impl ArmGeometry {
         mass
     }
 
-    /// Returns the vertical displacement of the lowest point that each joint moves, per joint motion, absolute [m/rad].
-    /// `up` is a unit vector in base axes.
+    /// Returns, for each joint, the absolute vertical displacement per joint motion [m/rad] of the lowest point that
+    /// the joint moves. `up` is a unit vector in base axes.
     pub fn lowest_lever(&self, up: &[f64; 3]) -> JointVec {
         let mut lever = [0.0; MAX_JOINTS];
         let mut lowest = [f64::INFINITY; MAX_JOINTS];
@@ -369,7 +369,7 @@ fn path(model: &Model) -> Vec<usize> {
     path
 }
 
-/// Returns the body that each moving joint between base and tip carries; `tool` is the tool's pose in the last one.
+/// Returns the rigid body after each moving joint between base and tip; `tool` is the tool's pose in the last body.
 fn rigid_bodies(model: &Model, moved_by: &[Option<usize>], count: usize, tool: &Frame) -> Vec<RigidBody> {
     let mut bodies = vec![RigidBody::default(); count];
     for (index, link) in model.links().iter().enumerate() {

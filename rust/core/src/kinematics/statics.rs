@@ -2,7 +2,7 @@
 
 use crate::{JointVec, MAX_JOINTS};
 
-/// Lever of a push about a joint, relative to the longest lever of that push, below which it does not load the joint.
+/// A push does not load a joint if its lever about that joint is shorter than this share of its longest lever.
 const MIN_RELATIVE_LEVER: f64 = 1e-9;
 
 /// Returns the push along d, with `a = Jᵀd`, at which each joint yields: `(L_i + s_i g_i) / |a_i|`, `s_i = sign(a_i)`.

@@ -1,4 +1,4 @@
-//! Bounds on targets, which detect values in wrong units or in axes other than the base's.
+//! Bounds on targets, which detect values in wrong units or in another frame.
 
 use crate::error::{Error, Result};
 use crate::kinematics::JointFrames;
@@ -9,17 +9,18 @@ use crate::{JointVec, MAX_JOINTS};
 
 /// Largest distance of a target from the first joint, in multiples of [`Model::reach`].
 ///
-/// A target out of reach is valid: the arm stretches toward it. Twice the reach admits targets that jump by a metre for
-/// an arm of 0.7 m. Targets in feet, inches, centimetres or millimetres are too large by factors of 3.3 to 1000.
+/// A target out of reach is valid, because the arm stretches toward it: with an arm of 0.7 m, a target may jump by a
+/// metre. Targets in feet, inches, centimetres or millimetres are too large by factors of 3.3 to 1000.
 const REACH_FACTOR: f64 = 2.0;
 
-/// Margin [m] added to `REACH_FACTOR` times the reach, for an arm whose tool is on the axis of its only joint.
+/// Margin [m] added to `REACH_FACTOR` times the reach, which can be 0: for an arm of one joint with the tool on its
+/// axis.
 const REACH_MARGIN: f64 = 0.1;
 
 /// Largest distance of a joint target beyond the position limits [rad].
 ///
-/// Goals are clamped to the limits in any case. The margin admits targets of leader arms and policies whose zeros are
-/// off by some degrees; targets in degrees are too large by a factor of 57.
+/// Goals are clamped to the limits in any case. The margin accepts targets of leader arms and policies with a zero
+/// error of some degrees; targets in degrees are too large by a factor of 57.
 const ANGLE_MARGIN: f64 = 0.2;
 
 /// Largest distance of a prismatic joint's target beyond its position limits, as a share of its travel.
@@ -46,14 +47,14 @@ pub(crate) fn target_region(model: &Model) -> TargetRegion {
 }
 
 impl Model {
-    /// Returns the point from which [`Model::reach`] counts: the first joint's origin at q = 0, in the base [m].
+    /// Returns the centre of [`Model::reach`]: the origin of the first joint at q = 0, in the base [m].
     pub fn reach_origin(&self) -> [f64; 3] {
         let mut frames = JointFrames::default();
         self.chain().forward(&[0.0; MAX_JOINTS], &mut frames);
         frames.origin[0]
     }
 
-    /// Checks that a pose is a plausible target of this arm: a position far out of reach is in wrong units.
+    /// Checks that a pose is a plausible target of this arm: a position far out of reach is probably in wrong units.
     ///
     /// [`Controller::step`](crate::Controller::step) does this for tasks with translations.
     ///
@@ -64,8 +65,8 @@ impl Model {
         self.check_target_in("target", target, &target_region(self))
     }
 
-    /// Checks as [`Model::check_target`]; `name` is the argument's name for the message, `region` the allowed
-    /// positions.
+    /// Checks as [`Model::check_target`], with the valid positions `region`; `name` is the argument's name for the
+    /// message.
     pub(crate) fn check_target_in(&self, name: &str, target: &Pose, region: &TargetRegion) -> Result<()> {
         if !target.is_invalid::<BaselineF64>(region) {
             return Ok(());
@@ -91,7 +92,7 @@ impl Model {
         };
         let from = self.joint_names().first().map_or("the base", String::as_str);
         let from = if region.radius < POSITION_BOUND { from } else { self.base() };
-        // Rounded: four decimals suffice to recognize the mistake.
+        // Four decimals are enough to recognize the mistake.
         let shown = |value: f64| {
             if value.abs() < 1e6 { format!("{}", (1e4 * value).round() / 1e4) } else { format!("{value:e}") }
         };
@@ -101,8 +102,8 @@ impl Model {
         Error::out_of_range(format!("{name}: distance of position [{x}, {y}, {z}] from {from} [m]"), distance, bound)
     }
 
-    /// Checks that joint positions (`n`) [rad or m] are a plausible target: values far beyond the limits are in wrong
-    /// units.
+    /// Checks that joint positions (`n`) [rad or m] are a plausible target: values far beyond the limits are probably
+    /// in wrong units.
     ///
     /// [`Controller::step_joints`](crate::Controller::step_joints) does this.
     ///
@@ -114,7 +115,7 @@ impl Model {
         self.joints_between("q", q, &lowest, &highest).map(|_| ())
     }
 
-    /// Checks that joint positions lie between two bounds and pads them; flushes negligibly small values to 0.
+    /// Checks that joint positions are between two bounds; returns them padded, with negligibly small values set to 0.
     #[inline]
     pub(crate) fn joints_between(
         &self,
@@ -131,7 +132,8 @@ impl Model {
         if fine { Ok(out) } else { Err(self.not_between(what, values, lowest, highest)) }
     }
 
-    /// Checks one number per joint for |value| ≤ `bound` and pads them; flushes negligibly small values to 0.
+    /// Checks that |value| ≤ `bound` for one number per joint; returns them padded, with negligibly small values set to
+    /// 0.
     pub(crate) fn joints_within(&self, what: &str, values: &[f64], bound: f64) -> Result<JointVec> {
         if values.len() != self.n() {
             return Err(Error::length(what, values.len(), self.n()));

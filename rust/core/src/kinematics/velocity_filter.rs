@@ -8,9 +8,9 @@ pub(crate) const SPEED_BOUND: f64 = 1e3;
 
 /// Joint velocity from measured positions: backlash operator of one encoder step, difference quotient, one-pole filter.
 ///
-/// The backlash operator affects the velocity only. Without it, a reading that toggles between two encoder steps has a
-/// velocity of `encoder_step / (T_f + dt)`. Where that exceeds v₀, the friction feed-forward would switch between ± its
-/// full value.
+/// Without the backlash operator, a reading that toggles between two encoder steps would have a velocity of
+/// `encoder_step / (T_f + dt)`. If that exceeds the speed v₀ of the friction feed-forward, the feed-forward would
+/// toggle between plus and minus its full value.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct VelocityFilter {
     /// Output of the backlash operator [rad].
@@ -32,7 +32,7 @@ impl VelocityFilter {
         let (share, per_second) = (J::splat(dt / (time_constant + dt)), J::splat(1.0 / dt));
         let (before, velocity) = (J::load(&self.backlash_output), J::load(&self.velocity));
         let backlash_output = J::min(J::max(before, q - encoder_step), q + encoder_step);
-        // Bounded, because with a tiny `dt` the quotient may be infinite and would stay in the filter.
+        // Bounded, because the quotient can be infinite for a tiny `dt`, and an infinity would stay in the filter.
         let raw = J::clamp_abs((backlash_output - before) * per_second, J::splat(SPEED_BOUND));
         let velocity = J::fma(share, raw - velocity, velocity);
         let zero = J::splat(0.0);

@@ -1,4 +1,4 @@
-//! Responsibility (6), (7), activation (10) and joint torque limits (11).
+//! Responsibility, activation and joint torque limits: equations (6), (7), (10), (11) of the paper.
 
 use nalgebra::DMatrix;
 
@@ -9,30 +9,31 @@ use crate::params::Params;
 use crate::task::compliance::clamp01;
 use crate::{AxisVec, JointVec, MAX_AXES, Rows};
 
-/// Smallest sum by which shares are divided: its inverse times any strength is finite. An axis with a smaller sum gets
-/// less than its strength, down to zero.
+/// Lower bound on the sum by which the shares of an axis are divided, so that the quotient times any strength is
+/// finite. With a smaller sum, the axis gets less than its strength, down to zero.
 const MIN_SUM: f64 = 1e-100;
 
-/// Sum of `|N∇g|` over the joints [rad] up to which the null-space shares are the row norms of `N`: the direction of so
-/// small a gradient is meaningless. Above, they are blended and at twice this sum they are `|N∇g|`.
+/// Sum of `|N∇g|` over the joints [rad] up to which the null-space shares are the row norms of N, because the direction
+/// of so small a gradient is meaningless. They blend into `|N∇g|`, which they are from twice this sum on.
 const GRADIENT_THRESHOLD: f64 = 1e-3;
 
-/// Activation matrix, transposed: the row of each task axis holds the shares of the joints in that axis, the last row
+/// Transposed activation matrix: one row per task axis with the shares of the joints in that axis, and a last row with
 /// their shares in the null-space motion.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Activation<J: JointVector> {
-    /// Shares of each task axis before they are divided by their sum: `|J⁺|`, transposed.
+    /// `|J⁺|` transposed: the shares in each task axis, before each row is divided by its sum.
     magnitudes: [J; MAX_AXES],
-    /// 1 / sum of each row of `magnitudes`.
+    /// Reciprocal of the sum of each row of `magnitudes`.
     per_sum: J::Axes,
     /// Share of each joint in the null-space motion, 0 to 1.
     null: J,
 }
 
 impl<J: JointVector> Activation<J> {
-    /// Computes A of (10): the columns of `|J⁺|`, each divided by its sum, and the null-space column.
+    /// Computes A of equation (10) of the paper: the columns of `|J⁺|`, each divided by its sum, and the null-space
+    /// column `null`.
     ///
-    /// Δx of (6) cancels, which also avoids 0/0 for an axis without deviation.
+    /// The paper's factor Δx, equation (6), cancels. Without it, an axis without deviation does not give 0/0.
     #[inline(always)]
     pub(crate) fn new(pinv_transposed: &[J; MAX_AXES], null: J) -> Self {
         let zero = J::splat(0.0);
@@ -47,8 +48,8 @@ impl<J: JointVector> Activation<J> {
         Self { magnitudes, per_sum, null }
     }
 
-    /// Returns the joint torque limits of (11), `τ^q = A τ^x` [N·m]: `strength` of the task axes and `null_torque` of
-    /// the null space.
+    /// Returns the joint torque limits `τ^q = A τ^x` [N·m], equation (11) of the paper; τ^x is `strength` on the task
+    /// axes and `null_torque` in the null space.
     #[inline(always)]
     pub(crate) fn distribute(&self, strength: J::Axes, null_torque: f64) -> J {
         let per_size = (self.per_sum * strength).to_axes();
@@ -66,8 +67,8 @@ impl Activation<JointVec16> {
         }
     }
 
-    /// Returns A of (10) for the task rows of a step, the gradient of its null-space cost and λ = `damping`. `sigma`
-    /// returns the smallest and the largest singular value of the scaled rows.
+    /// Returns A of equation (10) of the paper for the task rows of a step, the gradient of its null-space cost and λ =
+    /// `damping`. `sigma` returns the smallest and the largest singular value of the scaled rows.
     pub(crate) fn of_step(
         params: &Params,
         rows: &Rows,
@@ -101,8 +102,8 @@ impl Activation<JointVec16> {
     }
 }
 
-/// Returns the responsibility R of (6), (7), n × (k + 1): the columns of `|J⁺ diag(Δx)|` and, last, `|α N∇g|`.
-/// Normalized columns are those of [`Activation`].
+/// Returns the responsibility R, n × (k + 1), equations (6), (7) of the paper: the columns of `|J⁺ diag(Δx)|`, then
+/// `|α N∇g|`. Divided by their sums, they are the columns of [`Activation`].
 pub(crate) fn responsibility(
     pinv_transposed: &Rows,
     dx: &AxisVec,
@@ -115,10 +116,8 @@ pub(crate) fn responsibility(
     })
 }
 
-/// Returns the shares of the joints in the null-space motion `N∇g`: its absolute values divided by their sum, blended
-/// into the row norms of `N` where the motion vanishes.
-///
-/// The row norms are computed only if needed.
+/// Returns the shares of the joints in the null-space motion `N∇g`: its absolute values divided by their sum. Where the
+/// motion vanishes, they blend into the row norms of N, which are computed only then.
 #[inline(always)]
 pub(crate) fn null_column<J: JointVector>(motion: J, projector: &impl RowNorms<J>) -> J {
     let magnitudes = J::abs(motion);
@@ -132,8 +131,8 @@ pub(crate) fn null_column<J: JointVector>(motion: J, projector: &impl RowNorms<J
     magnitudes * J::splat(blend / moved) + lengths * J::splat((1.0 - blend) / still)
 }
 
-/// A matrix over the joints whose row norms can be computed. A trait, because a closure would be compiled for the
-/// baseline instruction set.
+/// A joint-space matrix whose row norms can be computed. A trait, because a closure would be compiled for the baseline
+/// instruction set.
 pub(crate) trait RowNorms<J> {
     /// Returns the Euclidean norm of each row.
     fn row_norms(&self) -> J;
@@ -145,7 +144,7 @@ impl RowNorms<JointVec16> for JointMatrix {
     }
 }
 
-/// Returns `M v` for a matrix over the joints.
+/// Returns `M v` for a joint-space matrix M.
 pub(crate) fn product(m: &JointMatrix, v: &JointVec) -> JointVec {
     m.map(|row| row.iter().zip(v).map(|(a, b)| a * b).sum())
 }

@@ -1,4 +1,4 @@
-//! Law `cap`: each yielding task axis opposes a push with at most a given force.
+//! Law `cap`: each yielding task axis opposes a push with at most its force cap.
 
 use crate::law::wrench::Wrench;
 use crate::law::{AxisPush, ControlLaw, LawInput, LawOutput};
@@ -7,10 +7,10 @@ use crate::math::rows::{Mat6, damped, diagonal, weighted_gram};
 use crate::math::simd::{F64x8, JointVector};
 use crate::params::Follow;
 
-/// Compliance, step and bounds of each task axis, from which the wrench of one step is solved.
+/// Compliance, step and bounds of each task axis, from which one control step computes the wrench.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct CapProblem<'a, W: F64x8> {
-    /// `C = J K_p⁻¹ Jᵀ` [m/N, rad/(N·m)]: compliance of the task axes on the servos' stiffness.
+    /// `C = J K_p⁻¹ Jᵀ` [m/N, rad/(N·m)]: compliance of the task axes that results from the servos' stiffness.
     pub(crate) compliance: &'a Mat6,
     /// `λ²/k̄` of each row, in the units of `C`, with the servos' mean stiffness k̄.
     pub(crate) damping: W,
@@ -18,14 +18,14 @@ pub(crate) struct CapProblem<'a, W: F64x8> {
     pub(crate) step: W,
     /// Step s [m, rad], within the step limits of soft and of stiff axes.
     pub(crate) bounded_step: W,
-    /// Softness w of each axis: 0 if it does not yield, 1 if it yields.
+    /// Softness w of each axis: 0 if it does not yield, 1 if it yields, between while it changes sides.
     pub(crate) softness: W,
     /// Force cap F of each yielding axis [N, N·m].
     pub(crate) cap: W,
 }
 
 impl<W: F64x8> CapProblem<'_, W> {
-    /// Returns the wrench that the servos shall exert on the tool.
+    /// Returns the wrench that the servos are to exert on the tool.
     #[inline(always)]
     pub(crate) fn wrench(&self, follow: Follow) -> Wrench<W> {
         match follow {
@@ -43,8 +43,8 @@ impl<W: F64x8> CapProblem<'_, W> {
 
     /// Returns `(C + diag(C_jj w / (1 − w)) + λ²/k̄)⁻¹ s` over the rows with w < 1, 0 for the others.
     ///
-    /// Solved for `y = W / √(1 − w)`, W being the wrench: the added diagonal then stays finite and a row at w = 1 drops
-    /// out, so that a change of softness needs no branch.
+    /// Solved for `y = W / √(1 − w)` with the wrench W: the added diagonal then stays finite, and a row with w = 1 has
+    /// no effect, so no branch on the softness is needed.
     #[inline(always)]
     pub(crate) fn stiff_force(&self) -> W {
         let root = W::sqrt(W::max(W::splat(1.0) - self.softness, W::splat(0.0)));

@@ -3,19 +3,19 @@
 use crate::math::simd::{JointVector, tanh};
 use crate::params::{ServoArrays, Settings};
 
-/// Factors of the friction and damping feed-forward.
+/// Parameters of the friction and damping feed-forward.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct FrictionGains {
-    /// γ b_f, on dry friction.
+    /// Factor γ b_f on dry friction: singularity fade γ times compensated share b_f.
     pub(crate) friction: f64,
-    /// γ b_d, on viscous damping.
+    /// Factor γ b_d on viscous damping, with the compensated share b_d.
     pub(crate) damping: f64,
-    /// Speed v₀ [rad/s] at which the dry friction saturates.
+    /// Speed v₀ [rad/s] at which the feed-forward of dry friction saturates.
     pub(crate) speed: f64,
 }
 
 impl FrictionGains {
-    /// Returns the factors of the settings for the singularity fade γ; law `paper` does not use them.
+    /// Returns the parameters under these settings at the singularity fade γ; law `paper` does not use them.
     #[inline(always)]
     pub(crate) fn new(settings: &Settings, gamma: f64) -> Self {
         Self {
@@ -26,7 +26,7 @@ impl FrictionGains {
     }
 }
 
-/// Torque of friction and damping at each joint times the feed-forward factors, as a function of the load.
+/// Feed-forward torque for friction and damping of each joint, as a linear function of the load torque.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct FrictionFeedForward<J> {
     /// Part that does not depend on the load [N·m].
@@ -36,9 +36,9 @@ pub(crate) struct FrictionFeedForward<J> {
 }
 
 impl<J: JointVector> FrictionFeedForward<J> {
-    /// Computes `γ (b_f (τ_f + s τ_s) tanh(v/v₀) + b_d d v)` and, per load torque, `γ b_f (μ + s μ_s) tanh(v/v₀)`. With
-    /// `s = 1/(1 + x + x²)`, `x = |v|/v_s`, the excess of static friction fades with the speed. `toward` replaces v in
-    /// `tanh(v/v₀)`, because the velocity of a joint that sticks has no direction.
+    /// Computes `γ (b_f (τ_f + s τ_s) tanh(v/v₀) + b_d d v)` and, per load torque, `γ b_f (μ + s μ_s) tanh(v/v₀)`. The
+    /// Stribeck friction τ_s, μ_s fades with the speed: `s = 1/(1 + x + x²)`, `x = |v|/v_s`. In `tanh(v/v₀)`, `toward`
+    /// replaces v, because the velocity of a joint that sticks has no direction.
     #[inline(always)]
     pub(crate) fn new([v, toward]: [J; 2], servos: &ServoArrays, friction_gains: FrictionGains) -> Self {
         let one = J::splat(1.0);

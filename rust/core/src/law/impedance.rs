@@ -8,7 +8,7 @@ use crate::math::spectral::rho;
 use crate::params::Params;
 use crate::{MAX_AXES, Rows};
 
-/// Returns the factor that reduces ρ of these gains to `bound`; 1 if ρ is within it.
+/// Returns the factor ≤ 1 on these gains with which their ratio ρ to the servos' stiffness is at most `bound`.
 #[inline(always)]
 fn share<J: JointVector>(input: &LawInput<'_, J>, gains: J::Axes, bound: f64) -> f64 {
     if !J::Axes::any_lt(J::Axes::splat(0.0), gains) {
@@ -18,9 +18,9 @@ fn share<J: JointVector>(input: &LawInput<'_, J>, gains: J::Axes, bound: f64) ->
     if rho > bound { bound / rho } else { 1.0 }
 }
 
-/// Returns the force `F = clip(f K ẽ + f_D D (twist − v), ±max)` [N, N·m] of each axis, the joint speeds [rad/s] at the
-/// velocity of the reference, and f. The factors f, f_D ≤ 1 keep `f ρ(K)` and `f_D ρ(D)` within their bounds at this
-/// pose.
+/// Returns the force `F = clip(f K ẽ + f_D D (twist − v) + pacing force, ±max)` [N, N·m] of each axis, the joint speeds
+/// [rad/s] at the velocity of the reference, and the factor f. At this pose, f and f_D ≤ 1 keep `f ρ(K)` and `f_D ρ(D)`
+/// within their bounds; ρ is the ratio of the gains to the servos' stiffness.
 #[inline(always)]
 fn force<J: JointVector>(input: &LawInput<'_, J>) -> (J::Axes, J, f64) {
     let (demand, [max_stiffness, max_damping]) = (input.demand, input.params.impedance_bounds);
@@ -64,13 +64,13 @@ impl ControlLaw for Impedance {
         push.gain_factor * push.params.per_axis[push.row].stiffness[push.side] * push.share * push.deviation
     }
 
-    /// Returns the factor of the last step, since it depends on delay and pose.
+    /// Returns `last`: the factor depends on delay and pose, so only a step can compute it.
     fn gain_factor(_params: &Params, last: f64) -> f64 {
         last
     }
 
-    /// Returns the factor f_D ≤ 1 on the dampers of the settings; where the two sides of an axis differ, for the larger
-    /// damping.
+    /// Returns the factor f_D ≤ 1 on the dampers of the settings. If the two sides of an axis have different dampings,
+    /// it is computed for the larger one.
     fn damping_factor(params: &Params, rows: &Rows) -> f64 {
         let (mut gains, [_, max]) = ([0.0; MAX_AXES], params.impedance_bounds);
         for (gain, row) in gains.iter_mut().zip(&params.per_axis).take(params.k) {

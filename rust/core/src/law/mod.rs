@@ -1,4 +1,4 @@
-//! Control laws: from the deviation of each task axis to joint motion and force; one file per law.
+//! Control laws, one file each: they compute joint motion and force from the deviation of each task axis.
 
 pub(crate) mod activation;
 pub(crate) mod cap;
@@ -23,7 +23,7 @@ use crate::task::ArmState;
 use crate::task::demand::AxisDemand;
 use crate::{AxisVec, JointVec, MAX_AXES, Rows};
 
-/// Input of a control law for one step, at the predicted positions, in the rows of the task's axes.
+/// Input of a control law for one step, at the predicted joint positions; one row per task axis.
 ///
 /// Rows after the last task axis and lanes after the last joint are zero.
 #[derive(Debug, Clone, Copy)]
@@ -33,7 +33,7 @@ pub(crate) struct LawInput<'a, J: JointVector> {
     pub(crate) horizon: f64,
     /// Jacobian rows of the task axes, in the task frame.
     pub(crate) rows: &'a [J; MAX_AXES],
-    /// Task rows whose translations are divided by the arm's length scale.
+    /// `rows` with translations divided by the arm's length scale, so that singular values have no unit.
     pub(crate) scaled_rows: &'a [J; MAX_AXES],
     pub(crate) singularity: &'a SingularityState,
     /// λ² of each task row, in the units of that row.
@@ -57,8 +57,8 @@ pub(crate) struct LawInput<'a, J: JointVector> {
 /// Terms that give the stiff axes the velocity and the acceleration of their reference.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Pacing<W> {
-    /// Displacement [m, rad] of the reference that, by the servos' stiffness, produces the damping and acceleration
-    /// force.
+    /// Displacement [m, rad] of the reference that, times the servos' stiffness, is the force for its damping and
+    /// acceleration.
     pub(crate) displacement: W,
     /// Velocity of the reference [m/s, rad/s].
     pub(crate) velocity: W,
@@ -94,31 +94,30 @@ impl<W: F64x8> Pacing<W> {
 /// Output of a control law for one step. A lead is a goal minus the predicted position.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct LawOutput<J: JointVector> {
-    /// Lead of the goals that moves the arm [rad]: that of the stiff axes, under law `paper` that of all axes.
+    /// Lead that moves the stiff axes [rad]; under law `paper` that of all axes.
     pub(crate) stiff_offset: J,
-    /// Lead of the goals that exerts a force whether or not the arm moves [rad]: that of the soft axes.
+    /// Lead that exerts the force of the soft axes, whether or not the arm moves [rad].
     pub(crate) soft_offset: J,
     /// Null-space part of the goals [rad].
     pub(crate) null: J,
     /// Wrench that the leads exert [N, N·m]; 0 under law `paper`.
     pub(crate) wrench: Wrench<J::Axes>,
-    /// Factors, 0 to 1, by which the null-space, the soft and the stiff part were scaled.
+    /// Factors, 0 to 1, on the null-space, the soft and the stiff part, which keep them within torque and speed limits.
     pub(crate) factors: [f64; 3],
     /// Friction and damping feed-forward [N·m].
     pub(crate) feed_forward: J,
-    /// Factor ≤ 1 on the gain of the stiff axes that delay and pose require.
+    /// Factor ≤ 1 on the gain of the stiff axes, required by delay and pose.
     pub(crate) gain_factor: f64,
 }
 
-/// A control law. Each is implemented in its own file; the step is compiled for every law, and [`with_law`] selects
-/// one.
+/// A control law. The control step is compiled once per law; [`with_law`] selects the law.
 pub(crate) trait ControlLaw {
-    /// Returns the leads and the wrench of one step, and the joint torque budgets τ^q of (11) under law `paper`, else
-    /// `None`.
+    /// Returns the leads and the wrench of one step and, under law `paper` only, the joint torque budgets τ^q of
+    /// equation (11) of the paper.
     fn solve<J: JointVector>(input: &LawInput<'_, J>) -> (LawOutput<J>, Option<J>);
 
-    /// Returns the force [N, N·m] with which an arm at rest opposes a push, before the strength (largest force) of the
-    /// axis limits it; ∞ for a law that is not defined by forces.
+    /// Returns the force [N, N·m] with which an arm at rest opposes a push if its axis had no force cap; ∞ for a law
+    /// that is not defined by forces.
     fn force_at(push: &AxisPush<'_>) -> f64;
 
     /// Returns the factor ≤ 1 on the gain of the stiff axes; `last` is the factor of the last step.
@@ -133,7 +132,7 @@ pub(crate) trait ControlLaw {
     }
 }
 
-/// Evaluates an expression with `$type` as the type of a law; the only place that lists the laws.
+/// Evaluates `$value` with `$type` as the type of the law `$law`.
 macro_rules! with_law {
     ($law:expr, $type:ident => $value:expr) => {
         match $law {
@@ -176,7 +175,7 @@ pub(crate) struct AxisPush<'a> {
     pub(crate) params: &'a Params,
     /// Horizon h [s].
     pub(crate) horizon: f64,
-    /// Index of the axis among the task rows.
+    /// Row of the axis in the task.
     pub(crate) row: usize,
     /// Side toward which the axis is pushed: 0 for −, 1 for +.
     pub(crate) side: usize,
@@ -193,8 +192,8 @@ pub(crate) struct AxisPush<'a> {
 }
 
 impl AxisPush<'_> {
-    /// Returns the force [N, N·m] that opposes the push under the law of the settings, before the strength bounds it; ∞
-    /// for a law that is not defined by forces.
+    /// Returns the force [N, N·m] that would oppose the push without a force cap, under the law of the settings; ∞ for
+    /// a law that is not defined by forces.
     pub(crate) fn force(&self) -> f64 {
         with_law!(self.params.law, L => L::force_at(self))
     }
@@ -214,8 +213,8 @@ impl<J: JointVector> LawInput<'_, J> {
         (stiffness * self.pacing.displacement, along * J::load(&self.params.servos.compliance))
     }
 
-    /// Returns the feed-forward of friction and damping. `ahead` [rad/s] is added to the joint velocity for the
-    /// direction of motion, which a joint at rest does not have.
+    /// Returns the feed-forward of friction and damping. The direction of friction is that of the joint velocity plus
+    /// `ahead` [rad/s], because a joint at rest has no direction.
     #[inline(always)]
     pub(crate) fn friction(&self, ahead: J) -> FrictionFeedForward<J> {
         FrictionFeedForward::new([self.velocity, self.velocity + ahead], &self.params.servos, self.friction_gains)
@@ -238,7 +237,7 @@ impl<J: JointVector> LawInput<'_, J> {
         }
     }
 
-    /// Returns the null-space motion `−α h N ∇cost` [rad], before any scaling.
+    /// Returns the null-space motion `−α h N ∇cost` [rad], before it is scaled to torque and speed limits.
     #[inline(always)]
     pub(crate) fn null_motion(&self) -> J {
         let step = self.params.alpha * self.horizon;

@@ -1,4 +1,4 @@
-//! Redundancy: the null-space projector of (4) and the gradient of the null-space cost.
+//! Redundancy: the null-space projector, equation (4) of the paper, and the gradient of the null-space cost.
 
 use crate::law::activation::RowNorms;
 use crate::law::posture_fade::posture_gain;
@@ -13,8 +13,8 @@ use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
 /// The null-space projector `N = I − D Jᵀ (J D Jᵀ + μ²I)⁻¹ J`, applied without forming the matrix.
 ///
-/// It is exact with μ = 0. At singular poses, where the exact projector jumps, `μ = μ₁ clip(2 − σ/μ₁, 0, 1)` with
-/// `μ₁ = 10⁻³ σ_max` fades it.
+/// Exact with μ = 0. Near singular poses, where the exact projector jumps, it is faded by `μ = μ₁ clip(2 − σ/μ₁, 0,
+/// 1)`, `μ₁ = 10⁻³ σ_max`.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct NullSpace<'a, J: JointVector> {
     rows: &'a [J; MAX_AXES],
@@ -40,8 +40,8 @@ pub(crate) fn projector_damping_sq(smallest: f64, largest: f64) -> f64 {
 }
 
 impl<'a, J: JointVector> NullSpace<'a, J> {
-    /// Creates the projector of `task` rows over `joints` joints; `weight` is the diagonal of D, `added` the diagonal
-    /// that is added to `J D Jᵀ`.
+    /// Creates the projector for `task` rows and `joints` joints. `weight` is the diagonal of D; `added` is the
+    /// diagonal added to `J D Jᵀ`.
     #[inline(always)]
     pub(crate) fn new(rows: &'a [J; MAX_AXES], weight: J, added: &AxisVec, (task, joints): (usize, usize)) -> Self {
         let factor = factor_gram(rows, weight, added);
@@ -64,8 +64,8 @@ impl<'a, J: JointVector> NullSpace<'a, J> {
         J::fnma(self.weight, tr_mul(self.rows, &along), v)
     }
 
-    /// Returns `N v = v − J⁺J v` from a pseudo-inverse that is already computed, without a further solve; zero with
-    /// more task rows than joints.
+    /// Returns `N v = v − J⁺J v` with the given pseudo-inverse, which saves a solve; zero with more task rows than
+    /// joints.
     #[inline(always)]
     pub(crate) fn project_by(&self, pinv_transposed: &[J; MAX_AXES], v: J) -> J {
         if self.task > self.joints { J::splat(0.0) } else { v - tr_mul(pinv_transposed, &mul(self.rows, v)) }
@@ -78,7 +78,7 @@ impl<'a, J: JointVector> NullSpace<'a, J> {
     }
 }
 
-/// Rows of the identity matrix. A static, because loading a row just after storing one element of it stalls.
+/// Rows of the identity matrix. Static, because a vector load right after the store of one of its elements stalls.
 static IDENTITY: JointMatrix = {
     let mut rows = [[0.0; MAX_JOINTS]; MAX_JOINTS];
     let mut i = 0;
@@ -141,8 +141,8 @@ pub(crate) fn projector(
 }
 
 impl NullSpaceCost {
-    /// Returns the gradient of `share` times the posture cost, plus that of the joint-limit cost, at `q`; `rest` is the
-    /// posture.
+    /// Returns the gradient, at `q`, of `share` times the cost of leaving the posture `rest`, plus the joint-limit
+    /// cost.
     #[inline(always)]
     pub(crate) fn gradient<J: JointVector>(&self, q: J, rest: J, share: f64) -> J {
         let toward_middle = J::load(&self.limits) * (q - J::load(&self.middle));
@@ -150,8 +150,8 @@ impl NullSpaceCost {
     }
 }
 
-/// Returns the gradient of the whole null-space cost; `rest` is the posture, `added` the gradient of a user's cost,
-/// `scaled` the scaled task rows and `mu_squared` μ² of the projector.
+/// Returns the gradient of the whole null-space cost. `rest` is the rest posture, `added` the gradient of the user's
+/// cost, `scaled` the scaled task rows, `mu_squared` the damping μ² of the projector.
 #[inline(always)]
 pub(crate) fn cost_gradient<J: JointVector>(
     params: &Params,
@@ -202,13 +202,14 @@ fn weighted_manipulability(
     manipulability_gradient(j_base, &p, turning, params.n).map(|g| params.cost.manipulability * g)
 }
 
-/// Returns the transposed damped pseudo-inverse of (3) for the task rows of a step and λ = `damping`.
+/// Returns the transposed damped pseudo-inverse, equation (3) of the paper, of the task rows of a step for λ =
+/// `damping`.
 pub(crate) fn step_pseudo_inverse(params: &Params, rows: &Rows, damping: f64) -> Rows {
     pseudo_inverse(rows, &params.joint_weight_inv, &params.damping_scale.map(|scale| scale * damping * damping))
 }
 
 /// Returns the null-space projector N that the settings select, for the task rows of a step and λ = `damping`. `sigma`
-/// returns the smallest and the largest singular value of the scaled rows; it is called for the exact projector only.
+/// returns the smallest and the largest singular value of the scaled rows; only the exact projector calls it.
 pub(crate) fn step_projector(
     params: &Params,
     rows: &Rows,
@@ -232,9 +233,9 @@ pub(crate) fn step_projector(
 
 /// Returns the gradient of `−ln √det(JJᵀ)` over the task rows.
 ///
-/// `∂/∂q_i = −Σ_j P_j · ∂J_j/∂q_i` with `P = (JJᵀ)⁻¹ J`, both in base axes (6 × n). A column (v, ω) of joint i or a
-/// later one rotates with joint i: `ω_i × v_j`, `ω_i × ω_j`. Of a column before joint i only the tool point moves:
-/// `ω_j × v_i`. With `turning`, the rotation of the task frame is subtracted, for task axes that turn with the tool.
+/// `∂/∂q_i = −Σ_j P_j · ∂J_j/∂q_i` with `P = (JJᵀ)⁻¹ J`, both in base axes (6 × n). For j ≥ i the column (v_j, ω_j) of
+/// J rotates with joint i: its derivative is `(ω_i × v_j, ω_i × ω_j)`. For j < i only the tool point moves: `(ω_j ×
+/// v_i, 0)`. `turning` subtracts the rotation of task axes that turn with the tool.
 fn manipulability_gradient(jacobian: &Rows, p: &Rows, turning: bool, n: usize) -> JointVec {
     let n = n.min(MAX_JOINTS);
     let column = |m: &Rows, j: usize, from: usize| [m[from][j], m[from + 1][j], m[from + 2][j]];

@@ -1,4 +1,4 @@
-//! Law `paper`: task-space velocity control with joint torque budgets, equations (3)–(11).
+//! Law `paper`: task-space velocity control with joint torque budgets, equations (3) to (11) of the paper.
 
 use crate::law::activation::{Activation, null_column};
 use crate::law::cap::CapProblem;
@@ -14,8 +14,8 @@ use crate::{MAX_AXES, MAX_JOINTS};
 
 /// Clamps the step of each task axis to its torque budget: `|s_j| ≤ τ_j / Σ_i k_i |J⁺_ij|`.
 ///
-/// Torque limits of the joints alone would change the direction of the motion, since each cuts one joint. The clamp per
-/// axis keeps it, so that (8) and (9) act on that axis alone.
+/// A torque limit acts on one joint, so joint torque limits alone would change the direction of the motion. The clamp
+/// per axis keeps the direction: the compliance of an axis then affects that axis only.
 #[inline(always)]
 fn within_budget<J: JointVector>(pinv_transposed: &[J; MAX_AXES], step: J::Axes, budget: J::Axes, kp: J) -> J::Axes {
     let (zero, mut cost) = (J::splat(0.0), [J::splat(0.0); MAX_AXES]);
@@ -28,8 +28,8 @@ fn within_budget<J: JointVector>(pinv_transposed: &[J; MAX_AXES], step: J::Axes,
     J::Axes::clamp_abs(step, budget / cost)
 }
 
-/// Returns the lead of the goals (goal − q) [rad] with the yielding rows S removed from the inverse kinematics of the
-/// stiff rows r: `K_p⁻¹ J_rᵀ (C_rr + λ²/k̄)⁻¹ s_r + Σ_S K_p⁻¹ J_jᵀ κ_j s_j` with `κ_j = [(C + λ²/k̄)⁻¹]_jj`.
+/// Returns the lead of the goals (goal − q) [rad]. The inverse kinematics contain only the stiff rows r; each yielding
+/// row j in S is added: `K_p⁻¹ J_rᵀ (C_rr + λ²/k̄)⁻¹ s_r + Σ_S K_p⁻¹ J_jᵀ κ_j s_j` with `κ_j = [(C + λ²/k̄)⁻¹]_jj`.
 #[inline(always)]
 fn decoupled_offset<J: JointVector>(input: &LawInput<'_, J>, step: J::Axes) -> J {
     let compliance = J::load(&input.params.servos.compliance);
@@ -59,7 +59,8 @@ fn pacing_offset<J: JointVector>(input: &LawInput<'_, J>) -> J {
 pub(crate) struct Paper;
 
 impl ControlLaw for Paper {
-    /// Returns the lead of the goals, `K_q (h J⁺Δx − α h N∇g)` [rad], and the joint torque budgets τ^q of (11) [N·m].
+    /// Returns the lead of the goals, `K_q (h J⁺Δx − α h N∇g)` [rad], and the joint torque budgets τ^q [N·m] of
+    /// equation (11) of the paper.
     ///
     /// With `budget_on_goal`, the step of each axis is clamped to its budget τ^x.
     #[inline(always)]
@@ -88,14 +89,14 @@ impl ControlLaw for Paper {
         (output, Some(budget))
     }
 
-    /// Returns ∞: the budgets bound joint torques, not forces.
+    /// Returns ∞, because the budgets bound joint torques, not forces.
     fn force_at(_push: &AxisPush<'_>) -> f64 {
         f64::INFINITY
     }
 }
 
-/// Scales the task motion `task` and the null-space direction `along` [rad], the latter times −α h, to the joint speed
-/// limits; also returns the joint torque budgets τ^q of (11).
+/// Scales the task motion `task` and the null-space motion, `along` [rad] times −α h, to the joint speed limits. Also
+/// returns the joint torque budgets τ^q of equation (11) of the paper.
 #[inline(always)]
 fn within_limits<J: JointVector>(
     input: &LawInput<'_, J>,

@@ -1,8 +1,8 @@
 //! Fades out the posture task of the null space while a push drives a joint toward its position limit.
 //!
 //! With a joint at its stop, the other joints follow the push through the null space, away from the posture. At full
-//! strength the posture task would then add to the force along the axis, in guided motion several times the cap.
-//! Without a push the posture task stays: it moves joints away from their stops, for example out of a folded
+//! strength, the posture task would then add to the force along the axis: several times the cap when a hand guides the
+//! arm. Without a push the posture task stays, because it moves joints away from their stops, e.g. out of a folded
 //! configuration.
 
 use crate::math::simd::{F64x8, JointVector};
@@ -10,15 +10,15 @@ use crate::params::Params;
 use crate::task::compliance::clamp01;
 use crate::task::demand::AxisDemand;
 
-/// Smallest width of the fade, as a share of the clearance. The fade is narrower than the clearance if the posture
-/// itself is closer to the limit.
+/// Smallest width of the fade, as a share of the clearance. The fade is narrower than the clearance if the rest posture
+/// is closer to the limit than the clearance.
 const MIN_WIDTH: f64 = 0.4;
 
 /// Share of the fade's width over which the posture task falls from full to zero.
 const ZERO_AT: f64 = 0.5;
 
-/// Returns the factor on the posture task at `q`: 1 away from all position limits, at the posture `rest`, or without a
-/// push; it falls to 0 where a push has moved a joint to its limit.
+/// Returns the factor on the posture task at `q`: 1 far from position limits, at the rest posture `rest`, and without a
+/// push; it falls to 0 as a push moves a joint to its limit.
 #[inline(always)]
 pub(crate) fn posture_gain<J: JointVector>(params: &Params, q: J, rest: J, demand: &AxisDemand<J::Axes>) -> f64 {
     let (lower, upper, clear) = (J::load(&params.lower), J::load(&params.upper), J::load(&params.clearance));
@@ -39,8 +39,8 @@ fn push_fraction<W: F64x8>(params: &Params, demand: &AxisDemand<W>) -> f64 {
     felt.to_axes().into_iter().fold(0.0, f64::max)
 }
 
-/// Returns the share of the posture task that a stop at the distance `room` [rad or m] removes. It is 0 at the distance
-/// `at_rest` of the posture itself, so that the fade does not move the posture; `clear` is the clearance.
+/// Returns the share of the posture task that a stop at the distance `room` [rad or m] removes; `clear` is the
+/// clearance. It is 0 at `at_rest`, the distance in the rest posture, so that the fade does not change the equilibrium.
 #[inline(always)]
 fn stop_fade<J: JointVector>(room: J, at_rest: J, clear: J) -> J {
     let width = J::min(J::max(at_rest, J::splat(MIN_WIDTH) * clear), clear);

@@ -1,7 +1,7 @@
-//! Redistribution of motion: the other joints make the motion that a joint at its position limit cannot make.
+//! Redistribution of the motion that joints at their position limits cannot make to the other joints.
 //!
-//! The law solves the task with all joints. Only the motion that position limits cut off is solved again, without the
-//! joints at their limits. A joint that just reaches its limit loses no motion, so the command is continuous there.
+//! The law solves the task with all joints. The motion that position limits cut off is solved again without the joints
+//! at their limits. A joint that just reaches its limit loses no motion, so the command is continuous there.
 
 use crate::law::cap::CapProblem;
 use crate::law::scaling::scale_to_fit;
@@ -29,9 +29,10 @@ impl<J: JointVector> JointLocks<J> {
         Self { locked: J::splat(0.0), offset: J::splat(0.0) }
     }
 
-    /// Locks the joints whose `goal` [rad] exceeds a limit; returns false if no further joint exceeds one.
+    /// Locks the joints whose `goal` [rad] exceeds a position limit; returns false if this locks no further joint.
     ///
-    /// The lead of a locked joint becomes its limit minus `without_lead`. It is not unlocked within a step.
+    /// The lead of a locked joint becomes its limit minus `without_lead`. A joint stays locked for the rest of the
+    /// step.
     #[inline(always)]
     fn lock_violations(&mut self, goal: J, without_lead: J, lower: J, upper: J) -> bool {
         let (zero, one) = (J::splat(0.0), J::splat(1.0));
@@ -53,7 +54,7 @@ impl<J: JointVector> JointLocks<J> {
     }
 }
 
-/// Inputs for the motion that the other joints make instead of the locked ones.
+/// Inputs for the motion that the unlocked joints make in place of the locked ones.
 #[derive(Debug, Clone, Copy)]
 struct Redistribution<'a, J: JointVector> {
     params: &'a Params,
@@ -90,7 +91,7 @@ impl<J: JointVector> Redistribution<'_, J> {
         let (params, zero) = (self.params, J::Axes::splat(0.0));
         let squared = &params.redistribution_damping;
         let (mut offset, mut wrench) = if params.law == Law::Paper && params.follow == Follow::Hold {
-            // Apply the damped pseudo-inverse of (3) to one vector without forming it.
+            // Apply the damped pseudo-inverse to one vector without forming it.
             let weight = J::load(&params.joint_weight_inv) * self.unlocked;
             let factor = factor_gram(self.rows, weight, squared);
             (weight * tr_mul(self.rows, &factor.solve::<J::Elem>(self.missing)), zero)
@@ -143,8 +144,8 @@ impl<J: JointVector> MotionParts<J> {
     }
 }
 
-/// Locks joints, one set after another, until no goal exceeds its position limit, and replaces the parts of `motion`
-/// accordingly. Returns the goals without force offsets [rad], and 1 for locked joints, 0 for the others.
+/// Locks joints and redistributes their motion, repeatedly, until no goal exceeds its position limit; updates the parts
+/// of `motion`. Returns the goals without force offsets [rad], and a mask: 1 for locked joints, 0 for the others.
 #[inline(always)]
 pub(crate) fn redistribute<J: JointVector>(
     input: &LawInput<'_, J>,

@@ -5,7 +5,7 @@ use crate::math::simd::JointVector;
 /// Returns one factor in [0, 1] per part so that `|base + Σ f_p part_p| ≤ bound` for every joint; all 0 if `base` alone
 /// exceeds the bound.
 ///
-/// The parts are reduced in order: the second is scaled only if the bound is exceeded even without the first.
+/// The parts are reduced in order: part 2 is scaled only if the bound is exceeded even with part 1 at zero.
 #[inline(always)]
 pub(crate) fn scale_to_fit<J: JointVector, const P: usize>(base: J, parts: [J; P], bound: J) -> [f64; P] {
     // Fast path without a branch per joint: usually the sum is within the bound.
@@ -19,8 +19,8 @@ pub(crate) fn scale_to_fit<J: JointVector, const P: usize>(base: J, parts: [J; P
 #[inline(always)]
 fn shrink<J: JointVector, const P: usize>(base: J, parts: [J; P], bound: J) -> [f64; P] {
     let (zero, one) = (J::splat(0.0), J::splat(1.0));
-    // Ignore a part that moves a joint by no more than rounding error: scaling it does not help. Also ignore an excess
-    // that is only rounding error after the previous part was scaled to the bound.
+    // Ignore parts and excesses at the level of rounding errors: scaling such a part does not help, and such an excess
+    // remains after the previous part was scaled exactly to the bound.
     let rounding = bound * J::splat(1e-9);
     let mut factors = [1.0; P];
     for p in 0..P {

@@ -1,5 +1,5 @@
-//! Distance of the task rows from a singularity, and what follows from it: damping λ², projector damping μ² and the
-//! fade γ of feed-forward and prediction.
+//! Singular values of the task rows, and the quantities computed from them: damping λ² of the inverse kinematics,
+//! damping μ² of the null-space projector, and the fade γ of feed-forward and prediction.
 
 use crate::law::nullspace::projector_damping_sq;
 use crate::math::ldlt6::Ldlt6;
@@ -9,20 +9,21 @@ use crate::math::singular_values::SingularValues;
 use crate::params::Params;
 use crate::{MAX_AXES, Rows};
 
-/// Iterations for the extreme singular vectors from scratch.
+/// Iterations for the extreme singular vectors, without vectors of a previous step.
 const COLD_ITERATIONS: usize = 30;
 
-/// Iterations per step for the extreme singular vectors, from those of the last step.
+/// Iterations per step for the extreme singular vectors, started from those of the last step.
 const TRACKING_ITERATIONS: usize = 1;
 
 /// Damping and fade that follow from the singular values of a step's task rows.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct SingularityState {
-    /// λ², before the scale of each row.
+    /// λ² for rows scaled to the arm's length; times `damping_scale` it has the unit of a row.
     pub(crate) damping: f64,
     /// μ² of the exact null-space projector.
     pub(crate) mu_squared: f64,
-    /// Factor of `JJᵀ` of the scaled rows; `None` if singular values are not tracked, or with more axes than joints.
+    /// LDLᵀ factor of `JJᵀ` with the scaled rows J; `None` if the settings need no singular values, or with more axes
+    /// than joints.
     pub(crate) factor: Option<Ldlt6>,
     /// γ, the factor on feed-forward and prediction.
     pub(crate) gamma: f64,
@@ -51,8 +52,8 @@ pub(crate) fn row_damping<J: JointVector>(params: &Params, singularity: &Singula
     J::Axes::from_array(&params.axis_simd.damping_scale) * J::Axes::splat(singularity.damping)
 }
 
-/// Updates the singular values of the scaled rows and returns damping and fade; `cold` if `values` are not from the
-/// last step.
+/// Updates `values` to the singular values of the scaled rows and returns damping and fade. `cold`: `values` are not
+/// those of the last step.
 #[inline(always)]
 pub(crate) fn singularity_state<J: JointVector>(
     params: &Params,
@@ -60,17 +61,17 @@ pub(crate) fn singularity_state<J: JointVector>(
     values: &mut SingularValues,
     cold: bool,
 ) -> SingularityState {
-    let limits = params.damping;
+    let constants = params.damping;
     if !params.tracks_sigma {
         return SingularityState {
-            damping: limits.lambda_0 * limits.lambda_0,
+            damping: constants.lambda_0 * constants.lambda_0,
             mu_squared: 0.0,
             factor: None,
             gamma: 1.0,
         };
     }
-    let (redundant, axes) = (params.k <= params.n, params.k.min(params.n));
-    let gram = if redundant { weighted_gram(scaled, J::splat(1.0)) } else { joint_gram(&store_rows(scaled)) };
+    let (has_enough_joints, axes) = (params.k <= params.n, params.k.min(params.n));
+    let gram = if has_enough_joints { weighted_gram(scaled, J::splat(1.0)) } else { joint_gram(&store_rows(scaled)) };
     let factor = Ldlt6::new::<J::Elem>(&gram);
     if cold {
         values.restrict(axes);
@@ -78,15 +79,15 @@ pub(crate) fn singularity_state<J: JointVector>(
     values.update::<J::Elem>(&gram, &factor, axes, if cold { COLD_ITERATIONS } else { TRACKING_ITERATIONS });
     let sigma = values.smallest;
     SingularityState {
-        damping: damping_squared(sigma, limits.lambda_0, limits.sigma_0, limits.lambda_max),
+        damping: damping_squared(sigma, constants.lambda_0, constants.sigma_0, constants.lambda_max),
         mu_squared: projector_damping_sq(sigma, values.largest),
-        factor: redundant.then_some(factor),
-        gamma: singularity_fade(sigma, limits.sigma_0),
+        factor: has_enough_joints.then_some(factor),
+        gamma: singularity_fade(sigma, constants.sigma_0),
     }
 }
 
-/// Returns `JᵀJ`, used with fewer joints than axes: it has the same nonzero singular values as `JJᵀ`, without the zeros
-/// that `JJᵀ` then has.
+/// Returns `JᵀJ`, which replaces `JJᵀ` for a task with more axes than joints: it has the same nonzero eigenvalues,
+/// without the zeros.
 #[cold]
 #[inline(never)]
 fn joint_gram(scaled: &Rows) -> Mat6 {

@@ -1,5 +1,5 @@
-//! Offset of the joint goals from the measured positions (the lead) that exerts a wrench, within the limits of torque
-//! and joint speed. Shared by the force-based control laws.
+//! The lead (goal − q) that exerts a wrench at the tool, within the limits of torque and joint speed; for the laws
+//! `cap` and `impedance`.
 
 use crate::law::friction::FrictionFeedForward;
 use crate::law::scaling::scale_to_fit;
@@ -7,7 +7,7 @@ use crate::law::{LawInput, LawOutput};
 use crate::math::rows::tr_mul;
 use crate::math::simd::{F64x8, JointVector, RealOps};
 
-/// Wrench on the tool in task axes [N, N·m], in two parts that are scaled separately at a limit.
+/// Wrench on the tool in task axes [N, N·m], in two parts, which torque and speed limits reduce separately.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Wrench<W> {
     /// Part on the axes that yield.
@@ -31,9 +31,9 @@ impl<W: F64x8> Wrench<W> {
 }
 
 impl<J: JointVector> LawInput<'_, J> {
-    /// Returns the lead of the goals [rad] that exerts `wrench`, plus the null-space motion `null` [rad]. Where the
-    /// usable torques or the joint speeds are exceeded, the null-space part is reduced first (by speed only), then the
-    /// soft, then the stiff part.
+    /// Returns the lead of the goals [rad] that exerts `wrench`, plus the null-space motion `null` [rad]. To keep the
+    /// joint speed limits, the null-space part is reduced first, then the soft, then the stiff part; to keep the usable
+    /// torques, the soft, then the stiff part.
     #[inline(always)]
     pub(crate) fn joint_offsets(
         &self,
@@ -70,7 +70,8 @@ impl<J: JointVector> LawInput<'_, J> {
         }
     }
 
-    /// Scales the null-space motion [rad] to its total torque, `Σ k_p |null| ≤ τ₀`, and to its speed limit.
+    /// Scales the null-space motion [rad] to its bound on the total torque, `Σ k_p |null| ≤ τ₀`, and to its speed
+    /// limit.
     #[inline(always)]
     fn bound_null(&self, null: J) -> J {
         let params = self.params;

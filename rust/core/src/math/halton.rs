@@ -5,7 +5,7 @@ use crate::{JointVec, MAX_JOINTS};
 /// Bases of the sequence, one prime per joint.
 const PRIMES: [u32; MAX_JOINTS] = [2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31, 37, 41, 43, 47, 53];
 
-/// Returns the `index`-th point of the sequence (from 1) [rad or m], scaled to `lower`…`upper`; to ±π for joints
+/// Returns point `index` ≥ 1 of the sequence [rad or m], scaled to the range from `lower` to `upper`; to ±π for joints
 /// without limits.
 pub(crate) fn joints(lower: &[f64], upper: &[f64], index: u32) -> JointVec {
     let mut q = [0.0; MAX_JOINTS];

@@ -14,20 +14,20 @@ fn factored<J: JointVector>(rows: &[J; MAX_AXES], d: J, added: &AxisVec) -> Ldlt
     Ldlt6::new::<J::Elem>(&damped(weighted_gram(rows, d), added))
 }
 
-/// Smallest pivot, as a share of its diagonal entry.
+/// Lower bound on a pivot, as a share of its diagonal entry.
 const PIVOT_SHARE: f64 = 1e-15;
 
-/// Smallest pivot whose square and inverse square are finite and nonzero.
+/// Lower bound on a pivot. Its square and inverse square are finite and nonzero.
 const MIN_PIVOT: f64 = 1e-100;
 
 /// Factor `L D Lᵀ` of a symmetric, positive definite matrix; only its lower half is read.
 ///
 /// `D` has blocks of 2 × 2, so that the dependency chain has three divisions instead of six. A pivot lost to rounding
-/// is replaced by a tiny positive one: a singular matrix gives large but finite results, not NaN. A row of zeros gives
-/// a zero result if the right side is zero there, so that a task with fewer axes needs no separate code.
+/// is replaced by a tiny positive number, so a singular matrix gives large but finite results. A row of zeros gives a
+/// zero result if the right-hand side is zero there, so a task with fewer axes needs no separate code.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Ldlt6 {
-    /// `L` below the 2 × 2 blocks of its diagonal, which are the identity.
+    /// `L` below its diagonal; the 2 × 2 blocks on the diagonal are the identity.
     l: Mat6,
     /// Inverse `[[a, b], [b, c]]` of each 2 × 2 block of `D`, as `[a, b, c]`.
     inverse: [[f64; 3]; MAX_AXES / 2],
@@ -44,7 +44,7 @@ impl Ldlt6 {
             let least = [A::max(PIVOT_SHARE * m[i][i], MIN_PIVOT), A::max(PIVOT_SHARE * m[j][j], MIN_PIVOT)];
             let (a, b, c) = (A::max(s[i][i], least[0]), s[j][i], A::max(s[j][j], least[1]));
             let determinant = A::max(A::fnma(b, b, a * c), a * least[1]);
-            // Independent of the division, so that it is computed during its latency.
+            // The products do not depend on this division, so they are computed during its latency.
             let scale = 1.0 / determinant;
             let mut products = [[0.0; 2]; MAX_AXES];
             for r in j + 1..MAX_AXES {
@@ -64,7 +64,7 @@ impl Ldlt6 {
         Self { l, inverse }
     }
 
-    /// Solves `M X = B`, where each row of B is one value, or one value per joint.
+    /// Solves `M X = B`; each row of B is one value, or one value per joint.
     #[inline(always)]
     pub(crate) fn solve<A: RealOps>(&self, b: &[A::Real; MAX_AXES]) -> [A::Real; MAX_AXES] {
         let mut x = *b;
@@ -90,7 +90,7 @@ impl Ldlt6 {
         x
     }
 
-    /// Returns `M⁻¹ J D`, the transposed pseudo-inverse, where this is the factor of the damped `M = J D Jᵀ` and
+    /// Returns `M⁻¹ J D`, the transposed pseudo-inverse. `self` is the factor of `M = J D Jᵀ` plus damping,
     /// `joint_weight` the diagonal of D.
     #[inline(always)]
     pub(crate) fn weighted_rows<J: JointVector>(&self, rows: &[J; MAX_AXES], joint_weight: J) -> [J; MAX_AXES] {
@@ -104,7 +104,7 @@ impl Ldlt6 {
 
     #[inline(always)]
     fn inlined_rows<J: JointVector>(&self, rows: &[J; MAX_AXES], joint_weight: J) -> [J; MAX_AXES] {
-        // The right side is weighted, not the result: the products are those of [`weighted_gram`].
+        // Weight the right-hand side, not the result: the compiler then shares the products of [`weighted_gram`].
         let mut weighted = *rows;
         for row in &mut weighted {
             *row = *row * joint_weight;
@@ -125,10 +125,11 @@ impl Ldlt6 {
     }
 }
 
-/// Returns the transposed damped pseudo-inverse of (3): row r holds column r of `J⁺ = D Jᵀ (J D Jᵀ + Λ)⁻¹`.
+/// Returns the transposed damped pseudo-inverse, equation (3) of the paper: row r is column r of `J⁺ = D Jᵀ (J D Jᵀ +
+/// Λ)⁻¹`.
 ///
-/// `joint_weight` holds the diagonal of `D` (1 for equal weights), `damping` the diagonal of `Λ` (λ², in the squared
-/// units of its row).
+/// `joint_weight` is the diagonal of `D` (1 for equal weights), `damping` the diagonal of `Λ` (λ², in the squared unit
+/// of each row).
 pub(crate) fn pseudo_inverse(rows: &Rows, joint_weight: &JointVec, damping: &AxisVec) -> Rows {
     let (rows, weight) = (load_rows::<JointVec16>(rows), JointVec16::load(joint_weight));
     let factor = factor_gram(&rows, weight, damping);

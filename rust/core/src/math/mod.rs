@@ -1,7 +1,8 @@
 //! Linear algebra and numerics that do not depend on robots: SIMD number types, rows over the joints, factorizations,
 //! singular values, rotations, sampling, threads.
 
-/// Repeats the body for each index, so that triangular loops within it have constant bounds and stay in registers.
+/// Repeats the body for each index. Triangular loops in it then have constant bounds, and their values stay in
+/// registers.
 macro_rules! unrolled {
     ($i:ident in $($index:literal)* => $body:block) => {
         $({

@@ -6,8 +6,8 @@ use crate::AxisVec;
 
 /// Returns the rotation vector [rad] of a rotation matrix (row-major), of length at most π.
 ///
-/// Computed from the quaternion, largest component first. This is accurate at 0 and at π, where the trace formula loses
-/// half of the digits.
+/// Computed from the quaternion, starting with its largest component. This is accurate at 0 and at π, where the formula
+/// with the trace loses half of the digits.
 #[inline(always)]
 pub(crate) fn rotation_vector(m: &[[f64; 3]; 3]) -> [f64; 3] {
     rotation_vector_by::<BaselineF64>(m)
@@ -40,8 +40,8 @@ pub(crate) fn rotation_vector_by<A: RealOps<Real = f64>>(m: &Mat3) -> Vec3 {
             products[i] = A::select_lt(larger, m[2][2], z[i], of_two);
         }
     }
-    // atan2 is invariant to a common scale, so the quaternion need not be normalized; for a small angle the errors of
-    // both arguments cancel.
+    // atan2 does not depend on a common scale, so the quaternion is not normalized. For a small angle, the errors of
+    // the two arguments cancel.
     let [w, x, y, z] = products;
     let length = A::sqrt(dot::<A>(&[x, y, z], &[x, y, z]));
     let angle = atan2_first_quadrant::<A>(length, A::abs(w));

@@ -6,7 +6,7 @@ use crate::{AxisVec, MAX_AXES, MAX_JOINTS, Rows};
 /// A 6 × 6 matrix over the task axes, usually symmetric.
 pub(crate) type Mat6 = [[f64; MAX_AXES]; MAX_AXES];
 
-/// A matrix over the joints, `m[row][column]`.
+/// A joint-space matrix, `m[row][column]`.
 pub(crate) type JointMatrix = [[f64; MAX_JOINTS]; MAX_JOINTS];
 
 /// Copies a slice into an array and fills the remaining entries with `rest`.
@@ -58,7 +58,7 @@ fn gram<J: JointVector>(rows: &[J; MAX_AXES], d: J) -> Mat6 {
     for row in &mut scaled {
         *row = *row * d;
     }
-    // By reference, because a copy of a `JointVec16` is a call.
+    // References, because a copy of a `JointVec16` is a call.
     let right = [&rows[0], &rows[1], &rows[2], &rows[3], &rows[4], &rows[5], &zero];
     let left = [&scaled[0], &scaled[1], &scaled[2], &scaled[3], &scaled[4], &scaled[5], &zero];
     let mut out = [[0.0; MAX_AXES]; MAX_AXES];

@@ -5,11 +5,11 @@ use crate::math::rows::Mat6;
 use crate::math::simd::{BaselineF64, RealOps};
 use crate::{AxisVec, MAX_AXES};
 
-/// Estimates of the largest and the smallest singular value of scaled task rows, with the singular vectors from which
+/// Estimates of the largest and the smallest singular value of scaled task rows, and the singular vectors from which
 /// the next step starts.
 ///
-/// Two vectors track the smallest values. Where the two smallest values cross, a single vector would stay with the
-/// wrong one for many steps (on an arm with planar joints they cross without mixing).
+/// Two vectors track the two smallest values. When these values cross, a single vector would stay with the wrong value
+/// for many steps.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct SingularValues {
     /// Estimated left singular vectors of the two smallest values, that of the smallest first.
@@ -24,8 +24,7 @@ pub(crate) struct SingularValues {
 
 impl SingularValues {
     pub(crate) fn start() -> Self {
-        // No component is zero and no two are equal, so that no eigenvector of a usual arm is orthogonal to both
-        // vectors.
+        // All components are different and not zero, so that no singular vector of a usual arm is orthogonal to both.
         let min_vectors = [[0.5, 0.46, 0.42, 0.38, 0.34, 0.3], [0.34, -0.5, 0.46, -0.42, 0.3, -0.38]];
         Self { min_vectors, max_vector: min_vectors[0], smallest: 0.0, largest: 0.0 }
     }
@@ -39,8 +38,8 @@ impl SingularValues {
 
     /// Improves the estimates by `iterations` steps of inverse and power iteration on `gram`.
     ///
-    /// `gram` is `JJᵀ` of `k` rows, or `JᵀJ` of `k` joints if there are fewer joints than axes; `factor` is its factor.
-    /// From the vectors of the last step, one iteration per step tracks a moving arm to about one percent.
+    /// `gram` is `JJᵀ` of `k` rows, or `JᵀJ` of `k` joints if there are fewer joints than axes; `factor` is its LDLᵀ
+    /// factor. One iteration per step, from the vectors of the last step, tracks a moving arm to about one percent.
     #[inline(always)]
     pub(crate) fn update<A: RealOps<Real = f64>>(&mut self, gram: &Mat6, factor: &Ldlt6, k: usize, iterations: usize) {
         for _ in 0..iterations {
@@ -64,12 +63,12 @@ impl SingularValues {
     }
 }
 
-/// Applies the Rayleigh–Ritz method to M in the span of `a = M⁻¹ w` and `b = M⁻¹ z`. Returns the unit Ritz vectors, that
-/// of the smaller Ritz value first, and the square root of this value; `None` if products of a and b could overflow, or
-/// if a and b are too nearly parallel for a single orthogonalization.
+/// Applies the Rayleigh–Ritz method to M in the span of `a = M⁻¹ w` and `b = M⁻¹ z`. Returns the unit Ritz vectors,
+/// that of the smaller Ritz value first, and the square root of the smaller value. `None` if products of a and b could
+/// overflow, or if a and b are so nearly parallel that one orthogonalization is not enough.
 ///
-/// The value is computed from dot products only, because the step waits for it; the vectors are needed by the next step
-/// only.
+/// The value is computed from dot products only, because it limits the latency of the step; the vectors are needed by
+/// the next step.
 #[inline(always)]
 fn ritz_2d<A: RealOps<Real = f64>>([a, b]: &[AxisVec; 2], [w, z]: &[AxisVec; 2]) -> Option<([AxisVec; 2], f64)> {
     let (aa, ab, bb) = (dot::<A>(a, a), dot::<A>(a, b), dot::<A>(b, b));
@@ -78,8 +77,8 @@ fn ritz_2d<A: RealOps<Real = f64>>([a, b]: &[AxisVec; 2], [w, z]: &[AxisVec; 2])
         return None;
     }
     let (wa, za, zb) = (dot::<A>(w, a), dot::<A>(z, a), dot::<A>(z, b));
-    // Entries of M in the orthonormal basis û ∥ a, v̂ ∥ c, with c = b − t a (Gram–Schmidt). M is symmetric, so that
-    // w·b = z·a and one of the two products is enough.
+    // Entries of M in the orthonormal basis û ∥ a, v̂ ∥ c with c = b − t a (Gram–Schmidt). M is symmetric, so w·b = z·a
+    // and only one of the two products is computed.
     let per_aa = 1.0 / aa;
     let t = ab * per_aa;
     let per_cc = 1.0 / (bb - t * ab);
@@ -100,7 +99,7 @@ fn ritz_2d<A: RealOps<Real = f64>>([a, b]: &[AxisVec; 2], [w, z]: &[AxisVec; 2])
     Some((min_vectors, value.max(0.0).sqrt()))
 }
 
-/// Bound on squared lengths: below it, a product of four lengths is finite.
+/// Bound on squared lengths, so that a product of four lengths is finite.
 const LARGE: f64 = 1e150;
 
 /// Returns the unit eigenvector of `[[a, b], [b, d]]` for its smaller eigenvalue, given half of a − d and
@@ -113,7 +112,7 @@ fn smaller_eigenvector(half: f64, root: f64, b: f64) -> (f64, f64) {
     if length > 0.0 { (x / length, y / length) } else { (1.0, 0.0) }
 }
 
-/// Computes [`ritz_2d`] for vectors of any length and direction, which it normalizes first.
+/// Computes [`ritz_2d`] for vectors of any length and direction; normalizes them first.
 #[cold]
 #[inline(never)]
 fn ritz_scaled(gram: &Mat6, [a, b]: &[AxisVec; 2], [w, z]: &[AxisVec; 2], k: usize) -> ([AxisVec; 2], f64) {
@@ -124,7 +123,7 @@ fn ritz_scaled(gram: &Mat6, [a, b]: &[AxisVec; 2], [w, z]: &[AxisVec; 2], k: usi
     }
 }
 
-/// A unit vector `v` and `M v`, which inverse iteration gives without a matrix product.
+/// A unit vector `v` and the product `mv` = `M v`, which inverse iteration gives without a matrix product.
 #[derive(Clone, Copy)]
 struct ImagePair {
     v: AxisVec,
@@ -164,7 +163,7 @@ impl ImagePair {
 
     /// Returns the component orthogonal to the unit vector `u`, normalized; `None` if it is only rounding error.
     fn orthogonalize(mut self, u: &Self) -> Option<Self> {
-        // Twice: the first pass leaves a rounding error along `u`.
+        // Two passes, because the first leaves a rounding error along `u`.
         for _ in 0..2 {
             let share = dot::<BaselineF64>(&self.v, &u.v);
             for i in 0..MAX_AXES {
@@ -216,7 +215,7 @@ fn apply<A: RealOps<Real = f64>>(m: &Mat6, v: &AxisVec) -> AxisVec {
 
 #[inline(always)]
 fn dot<A: RealOps<Real = f64>>(a: &AxisVec, b: &AxisVec) -> f64 {
-    // Pairwise summation: a sequential sum would be one long dependency chain.
+    // Pairwise, because a sequential sum would be one long dependency chain.
     let (first, second) = (A::fma(a[1], b[1], a[0] * b[0]), A::fma(a[3], b[3], a[2] * b[2]));
     (first + second) + A::fma(a[5], b[5], a[4] * b[4])
 }

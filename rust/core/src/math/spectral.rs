@@ -4,14 +4,14 @@ use super::rows::weighted_gram;
 use super::simd::{F64x8, JointVector, RealOps};
 use crate::MAX_AXES;
 
-/// Number of squarings that isolate the largest eigenvalue: power 2⁶ = 64.
+/// Number of squarings, which raise the matrix to the power 2⁶ = 64 so that the largest eigenvalue dominates.
 const SQUARINGS: usize = 6;
 
-/// Returns `ρ = (Σ λ_i⁶⁴)^(1/64)` over the eigenvalues of `K_p⁻¹ Jᵀ K J`: the stiffness of the axes relative to the
-/// servos.
+/// Returns `ρ = (Σ λ_i⁶⁴)^(1/64)` over the eigenvalues λ_i of `K_p⁻¹ Jᵀ K J`: the stiffness K of the axes relative to
+/// that of the servos.
 ///
-/// ρ is at least the largest eigenvalue and at most 3 % above it (six equal eigenvalues). It is smooth where two
-/// eigenvalues cross and needs no state. `compliance` holds 1/k_p.
+/// ρ is at least the largest eigenvalue and at most 3 % above it (for six equal eigenvalues). It is smooth where
+/// eigenvalues cross and needs no state. `compliance` is 1/k_p of each joint.
 #[inline(always)]
 pub(crate) fn rho<J: JointVector>(rows: &[J; MAX_AXES], compliance: J, stiffness: J::Axes) -> f64 {
     // √K C √K has the same eigenvalues, and is symmetric.

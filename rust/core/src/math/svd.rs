@@ -1,11 +1,11 @@
 //! Singular value decomposition for code outside the control step.
 //!
-//! One-sided Jacobi rotations (Hestenes): short, accurate at every rank, and convergent within a few sweeps. Not
-//! nalgebra's decomposition: its bidiagonal iteration (0.35) loses whole singular values of rank-deficient matrices.
+//! One-sided Jacobi rotations (Hestenes): short, accurate at every rank, and convergent within a few sweeps. The
+//! decomposition of nalgebra 0.35 loses whole singular values of rank-deficient matrices.
 
 use nalgebra::{DMatrix, DVector};
 
-/// Maximum number of sweeps over all pairs of columns; more than ten are unusual.
+/// Maximum number of sweeps over all pairs of columns; usually at most ten are needed.
 const MAX_SWEEPS: usize = 60;
 
 /// Decomposition `m = u diag(sigma) vᵀ`, the singular values largest first; columns of `u` that belong to σ = 0 are 0.

@@ -7,7 +7,7 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 
 use crate::error::{Error, Result};
 
-/// The pool, and the id of the process that has its threads.
+/// Id of the process in which the threads of the pool run, and the pool.
 static POOL: Mutex<Option<(u32, Arc<ThreadPool>)>> = Mutex::new(None);
 
 /// Runs `work` in the pool, so that `rayon`'s parallel iterators use all cores. The environment variable

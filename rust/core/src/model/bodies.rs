@@ -1,4 +1,4 @@
-//! Moving joints of the subtree that the chain uses, and the rigid bodies between them.
+//! Moving joints of the chain and of what it carries, and the rigid bodies between them.
 
 use std::collections::BTreeMap;
 
@@ -11,23 +11,23 @@ use crate::MAX_JOINTS;
 use crate::error::{Error, Result};
 use crate::pose::Pose;
 
-/// Rigid transform, for code that runs while a model is read.
+/// Rigid transform; used only while a model is read.
 pub(super) type Transform = nalgebra::IsometryMatrix3<f64>;
 
-/// A moving joint, with its frame as in the file.
+/// A moving joint, with its frame as in the URDF file.
 pub(super) struct Slot {
     /// Index of the joint in the tree.
     pub(super) joint: usize,
     /// Slot of the moving joint that carries this one; `None` for the base.
     pub(super) parent: Option<usize>,
-    /// Pose of the frame before the joint in the frame after its parent joint; the z axis of both frames is the axis of
-    /// their joint.
+    /// Pose of this joint's frame at joint value 0 in the moved frame of the parent joint. Joints move about or along
+    /// z.
     pub(super) before: Transform,
-    /// Index of the coordinate that drives the joint.
-    pub(super) coordinate: usize,
-    /// Joint value per coordinate.
+    /// Index in q of the independent joint that drives this one.
+    pub(super) q_index: usize,
+    /// Joint value per unit of the independent joint.
     pub(super) multiplier: f64,
-    /// Joint value at coordinate 0 [rad or m].
+    /// Joint value at position 0 of the independent joint [rad or m].
     pub(super) offset: f64,
 }
 
@@ -65,13 +65,13 @@ pub(super) fn pose(transform: &Transform) -> Pose {
     }
 }
 
-/// Moving joints and the rigid bodies between them, with frames as in the file.
+/// Moving joints and the rigid bodies between them, with frames as in the URDF file.
 pub(super) struct Bodies {
     /// Moving joints, those of the path first.
     pub(super) slots: Vec<Slot>,
     /// Number of moving joints on the path.
     pub(super) path: usize,
-    /// Pose of the anchor link in the base.
+    /// Pose in the base of the link at which the chain starts.
     pub(super) base: Transform,
     /// Pose of the tool in the frame after the last joint of the path.
     pub(super) tool: Transform,
@@ -121,15 +121,15 @@ impl Bodies {
         slot_of: &mut BTreeMap<usize, usize>,
     ) -> Result<(Option<usize>, Transform)> {
         let joint = &tree.joints[j];
-        let (coordinate, multiplier, offset) = match role {
+        let (q_index, multiplier, offset) = match role {
             Role::Still(value) => return Ok((slot, here * step(joint, value))),
-            Role::Moves { coordinate, multiplier, offset } => (coordinate, multiplier, offset),
+            Role::Moves { q_index, multiplier, offset } => (q_index, multiplier, offset),
         };
         let turned = z_to_axis(joint);
         let known = slot_of.get(&j).copied();
-        let own = known.unwrap_or(self.slots.len());
+        let joint_slot = known.unwrap_or(self.slots.len());
         if known.is_none() {
-            if own == MAX_JOINTS {
+            if joint_slot == MAX_JOINTS {
                 return Err(Error::config(
                     "tip",
                     format!(
@@ -139,12 +139,12 @@ impl Bodies {
                     ),
                 ));
             }
-            slot_of.insert(j, own);
+            slot_of.insert(j, joint_slot);
             let before = here * transform(&joint.origin) * turned;
-            self.slots.push(Slot { joint: j, parent: slot, before, coordinate, multiplier, offset });
+            self.slots.push(Slot { joint: j, parent: slot, before, q_index, multiplier, offset });
             self.mass.push(0.0);
             self.moment.push(Vector3::zeros());
         }
-        Ok((Some(own), turned.inverse()))
+        Ok((Some(joint_slot), turned.inverse()))
     }
 }

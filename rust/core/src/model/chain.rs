@@ -14,42 +14,41 @@ use crate::{JointVec, MAX_JOINTS};
 /// One kinematic chain with all bodies that it carries, in the form that the control step uses.
 ///
 /// The moving joints of the chain are numbered from base to tip. After them come mimic joints outside the chain, each
-/// coupled to one of its coordinates. When the robot is read, every frame is rotated so that its joint moves about or
-/// along z; the rotation between successive joints is then a constant twist about x followed by the joint angle about z.
+/// driven by one of its joints. When the robot is read, every frame is rotated so that its joint moves about or along
+/// z; the rotation between successive joints is then a constant twist about x followed by the joint angle about z.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Chain {
-    /// Number of independent coordinates.
+    /// Number of independent joints, the length of q.
     pub(crate) n: usize,
     /// Number of moving joints between base and tip.
     pub(crate) path: usize,
-    /// Total number of moving joints, those beside the path included.
+    /// Total number of moving joints, including those beside the path.
     pub(crate) total: usize,
     /// Pose in the base of the frame before the first joint.
     pub(crate) base: Pose,
     /// Pose of the tool in the frame after the last joint of the path.
     pub(crate) tool: Pose,
-    /// Index of the coordinate that drives each joint.
+    /// Index in q of the independent joint that drives each joint.
     pub(crate) driver: [usize; MAX_JOINTS],
     /// Index of the moving joint that carries each joint; `MAX_JOINTS` for the base.
     pub(crate) parent: [usize; MAX_JOINTS],
-    /// Rotation about z from the parent's frame to the frame in which the tilt is applied; the identity on the path.
+    /// Rotation about z that precedes the tilt of each joint; the identity on the path.
     pub(crate) turn: [[[f64; 3]; 3]; MAX_JOINTS],
     /// Origin of each joint in its parent's frame [m].
     pub(crate) offset: [[f64; 3]; MAX_JOINTS],
     /// Sine and cosine of the tilt about x that precedes each joint.
     pub(crate) tilt: [(f64, f64); MAX_JOINTS],
-    /// Angle of each joint per coordinate; 0 for prismatic joints.
+    /// Angle of each joint per unit of q; 0 for prismatic joints.
     pub(crate) angle_per_q: JointVec,
-    /// Angle of each joint at coordinate 0 [rad]; the constant angle of a prismatic joint.
+    /// Angle of each joint at q = 0 [rad]; the constant angle of a prismatic joint.
     pub(crate) angle_offset: JointVec,
-    /// Displacement of each joint per coordinate; 0 for revolute joints.
+    /// Displacement of each joint per unit of q; 0 for revolute joints.
     pub(crate) slide_per_q: JointVec,
-    /// Displacement of each joint at coordinate 0 [m]; 0 for revolute joints.
+    /// Displacement of each joint at q = 0 [m]; 0 for revolute joints.
     pub(crate) slide_offset: JointVec,
     /// True for prismatic joints.
     pub(crate) slides: [bool; MAX_JOINTS],
-    /// True if every coordinate drives exactly one joint of the path, in order and with factor 1, and no joint is
-    /// prismatic.
+    /// True if every joint i of the path rotates and is at the angle `q[i]` plus a constant.
     pub(crate) simple: bool,
     /// Mass of the rigid group after each joint [kg], without payload.
     pub(crate) mass: JointVec,
@@ -57,30 +56,30 @@ pub struct Chain {
     pub(crate) moment: [[f64; 3]; MAX_JOINTS],
 }
 
-/// A chain with the properties that [`Model`](super::Model) stores beside it.
+/// A chain, and the properties that [`Model`](super::Model) stores beside it.
 pub(super) struct Assembly {
     pub(super) chain: Chain,
-    /// Index into the tree of the joint of each coordinate.
-    pub(super) coordinates: Vec<usize>,
-    /// Indices of the coordinates whose rigid group has no mass.
+    /// Indices in the tree of the independent joints, in the order of q.
+    pub(super) independent: Vec<usize>,
+    /// Indices in q of the independent joints that move a rigid group without mass.
     pub(super) massless: Vec<usize>,
     /// Upper bound on the distance of the tool from the first joint's origin [m].
     pub(super) reach: f64,
 }
 
 impl Chain {
-    /// Returns the number of independent coordinates.
+    /// Returns the number of independent joints.
     pub const fn n(&self) -> usize {
         self.n
     }
 }
 
-/// Builds the chain from `base` to `tip`: chooses its coordinates, locks the other joints and rotates the frames.
+/// Builds the chain from `base` to `tip`: chooses the independent joints, locks the others and rotates the frames.
 pub(super) fn assemble(tree: &mut Tree, base: usize, tip: usize, options: &ModelOptions) -> Result<Assembly> {
     let (anchor, above_base) = anchor(tree, base, tip);
     let path = tree.joints_between(anchor, tip);
     let roles = roles(tree, &path, &options.locked)?;
-    let coordinates = roles.coordinates;
+    let independent = roles.independent;
 
     // All joints between anchor and base must be fixed, otherwise the base would move with the arm.
     let mut anchor_from_base = Transform::identity();
@@ -100,7 +99,7 @@ pub(super) fn assemble(tree: &mut Tree, base: usize, tip: usize, options: &Model
     let base_from_anchor = anchor_from_base.inverse();
 
     let bodies = collect(tree, anchor, base_from_anchor, &path, &roles.of)?;
-    Ok(turn_frames(tree, &bodies, coordinates))
+    Ok(turn_frames(tree, &bodies, independent))
 }
 
 /// Returns the deepest common ancestor of the links `base` and `tip`, and the joints from `base` up to it.
@@ -120,7 +119,7 @@ fn anchor(tree: &Tree, base: usize, tip: usize) -> (usize, Vec<usize>) {
     (link, joints)
 }
 
-/// Decomposition of a rotation, `F = Rz(a) · Rx(tilt) · Rz(c)`; the tilt as sine and cosine.
+/// Angles [rad] of a rotation `F = Rz(a) · Rx(tilt) · Rz(c)`; the tilt as sine and cosine.
 struct Zxz {
     a: f64,
     tilt: (f64, f64),
@@ -144,9 +143,9 @@ fn z_turn(angle: f64) -> Rotation3<f64> {
     Rotation3::from_axis_angle(&Vector3::z_axis(), angle)
 }
 
-/// Rotates every frame about its z axis so that the next joint's rotation begins with a tilt about x; fills the arrays
-/// of the chain.
-fn turn_frames(tree: &Tree, bodies: &Bodies, coordinates: Vec<usize>) -> Assembly {
+/// Fills the arrays of the chain, with every frame rotated about its z axis so that only a tilt about x lies between it
+/// and the next joint.
+fn turn_frames(tree: &Tree, bodies: &Bodies, independent: Vec<usize>) -> Assembly {
     let forms: Vec<Zxz> = bodies.slots.iter().map(|slot| zxz(&slot.before.rotation)).collect();
     let on_path = bodies.path.min(MAX_JOINTS);
     // A frame is rotated by the `a` of the next joint on the path.
@@ -156,7 +155,7 @@ fn turn_frames(tree: &Tree, bodies: &Bodies, coordinates: Vec<usize>) -> Assembl
     let mut base = bodies.base;
     base.rotation *= z_turn(base_turn);
     let mut chain = Chain {
-        n: coordinates.len(),
+        n: independent.len(),
         path: on_path,
         total: bodies.slots.len().min(MAX_JOINTS),
         base: pose(&base),
@@ -171,14 +170,14 @@ fn turn_frames(tree: &Tree, bodies: &Bodies, coordinates: Vec<usize>) -> Assembl
         slide_per_q: [0.0; MAX_JOINTS],
         slide_offset: [0.0; MAX_JOINTS],
         slides: [false; MAX_JOINTS],
-        simple: on_path == coordinates.len(),
+        simple: on_path == independent.len(),
         mass: [0.0; MAX_JOINTS],
         moment: [[0.0; 3]; MAX_JOINTS],
     };
     let mut reach = bodies.tool.translation.vector.norm();
     for (k, (slot, form)) in bodies.slots.iter().zip(&forms).enumerate().take(MAX_JOINTS) {
         let joint = &tree.joints[slot.joint];
-        chain.driver[k] = slot.coordinate;
+        chain.driver[k] = slot.q_index;
         chain.parent[k] = slot.parent.unwrap_or(MAX_JOINTS);
         chain.offset[k] = (z_turn(-form.a) * slot.before.translation.vector).into();
         chain.tilt[k] = form.tilt;
@@ -199,13 +198,13 @@ fn turn_frames(tree: &Tree, bodies: &Bodies, coordinates: Vec<usize>) -> Assembl
         chain.mass[k] = bodies.mass[k];
         chain.moment[k] = (z_turn(-turn_after(k)) * bodies.moment[k]).into();
         if k < on_path {
-            chain.simple &= slot.coordinate == k && chain.angle_per_q[k].to_bits() == 1.0_f64.to_bits();
-            reach += travel(tree, slot, coordinates[slot.coordinate]);
+            chain.simple &= slot.q_index == k && chain.angle_per_q[k].to_bits() == 1.0_f64.to_bits();
+            reach += travel(tree, slot, independent[slot.q_index]);
             reach += if k > 0 { slot.before.translation.vector.norm() } else { 0.0 };
         }
     }
-    let massless = (0..chain.n).filter(|&c| group_mass(bodies, c, coordinates[c]) <= 0.0).collect();
-    Assembly { chain, coordinates, massless, reach }
+    let massless = (0..chain.n).filter(|&i| group_mass(bodies, i, independent[i]) <= 0.0).collect();
+    Assembly { chain, independent, massless, reach }
 }
 
 /// Returns the largest displacement of a prismatic joint [m]; 0 for other joints and for unknown limits.
@@ -217,10 +216,10 @@ fn travel(tree: &Tree, slot: &Slot, driver: usize) -> f64 {
     end(tree.joints[driver].lower).max(end(tree.joints[driver].upper))
 }
 
-/// Returns the mass of the group that a coordinate's own joint moves [kg]; if that joint carries no part of the arm,
-/// that of the first joint that mimics it.
-fn group_mass(bodies: &Bodies, coordinate: usize, driver: usize) -> f64 {
-    let own = bodies.slots.iter().position(|slot| slot.joint == driver);
-    let slot = own.or_else(|| bodies.slots.iter().position(|slot| slot.coordinate == coordinate));
+/// Returns the mass [kg] of the rigid group after the joint `driver`; if that joint does not carry a part of the arm,
+/// of the group after the first joint that mimics it.
+fn group_mass(bodies: &Bodies, q_index: usize, driver: usize) -> f64 {
+    let driving_slot = bodies.slots.iter().position(|slot| slot.joint == driver);
+    let slot = driving_slot.or_else(|| bodies.slots.iter().position(|slot| slot.q_index == q_index));
     slot.map_or(0.0, |slot| bodies.mass[slot])
 }

@@ -1,7 +1,7 @@
 //! Immutable, validated robot model, read from URDF text.
 //!
-//! [`Model`] is one kinematic chain, base → tip, with all bodies that it carries. Meshes are never opened. Values
-//! absent from the file are `None`, not zero. Errors in the file name the file, the line and a remedy.
+//! [`Model`] is one kinematic chain, base → tip, with all bodies that it carries. Mesh files are not opened. A value
+//! that the URDF does not give is `None`, not zero. Error messages name the file, the line and a remedy.
 
 use std::io::Read as _;
 use std::path::Path;
@@ -66,7 +66,7 @@ impl Model {
         Self::from_urdf_file_with_text(path, options).map(|(model, _)| model)
     }
 
-    /// Reads a URDF file and also returns its text, see [`Model::from_urdf_file`].
+    /// Reads a URDF file as [`Model::from_urdf_file`]; returns the model and the text of the file.
     ///
     /// # Errors
     /// As [`Model::from_urdf_file`].
@@ -81,7 +81,7 @@ impl Model {
             ));
         }
         let mut bytes = Vec::new();
-        // Read one byte more than allowed, so that a file that is too long is detected.
+        // One byte more than allowed: a longer text is then rejected by the check of its size.
         std::fs::File::open(path)
             .and_then(|file| file.take(text::MAX_BYTES as u64 + 1).read_to_end(&mut bytes))
             .map_err(|error| unreadable(format!("cannot be read: {error}")))?;
@@ -131,13 +131,13 @@ impl Model {
             None => only_tip(&tree, base)?,
         };
         let assembly = chain::assemble(&mut tree, base, tip, options)?;
-        let coordinates = &assembly.coordinates;
-        for &j in coordinates {
+        let independent = &assembly.independent;
+        for &j in independent {
             need_limits(&tree, j)?;
         }
-        let joints = || coordinates.iter().map(|&j| &tree.joints[j]);
-        let held = options.payload.is_some_and(|payload| payload.mass > 0.0);
-        let last = coordinates.len() - 1;
+        let joints = || independent.iter().map(|&j| &tree.joints[j]);
+        let has_payload = options.payload.is_some_and(|payload| payload.mass > 0.0);
+        let last = independent.len() - 1;
         Ok(Self {
             base,
             tip,
@@ -147,7 +147,7 @@ impl Model {
             velocity_limit: joints().map(|joint| joint.velocity).collect(),
             effort_limit: joints().map(|joint| joint.effort).collect(),
             prismatic: joints().map(|joint| joint.kind == JointKind::Prismatic).collect(),
-            unknown_mass: assembly.massless.into_iter().filter(|&c| !(held && c == last)).collect(),
+            unknown_mass: assembly.massless.into_iter().filter(|&i| !(has_payload && i == last)).collect(),
             payload: options.payload,
             gravity: options.gravity,
             reach: assembly.reach,
@@ -181,12 +181,12 @@ impl Model {
         &self.upper
     }
 
-    /// Returns the speed limits of the file [rad/s or m/s]; `None` if absent.
+    /// Returns the speed limits of the URDF [rad/s or m/s]; `None` if absent.
     pub fn velocity_limit(&self) -> &[Option<f64>] {
         &self.velocity_limit
     }
 
-    /// Returns the torque limits of the file [N·m or N]; `None` if absent.
+    /// Returns the torque or force limits of the URDF [N·m or N]; `None` if absent.
     pub fn effort_limit(&self) -> &[Option<f64>] {
         &self.effort_limit
     }
@@ -221,16 +221,16 @@ impl Model {
         self.gravity
     }
 
-    /// Returns the largest distance [m] that the tool could have from the first joint: the sum of the distances between
+    /// Returns an upper bound [m] on the distance of the tool from the first joint: the sum of the distances between
     /// joint origins up to the tool, plus the largest displacements of prismatic joints.
     pub const fn reach(&self) -> f64 {
         self.reach
     }
 
-    /// Returns the indices of the independent joints that move a rigid group without mass, whose gravity torque is
+    /// Returns the indices of the independent joints that move a rigid group without mass; their gravity torque is
     /// unknown.
     ///
-    /// A single link without `<inertial>` is massless; data is missing only if the whole group has no mass.
+    /// A link without `<inertial>` counts as massless. A joint is listed only if all links of its group are massless.
     pub fn unknown_mass_joints(&self) -> &[usize] {
         &self.unknown_mass
     }

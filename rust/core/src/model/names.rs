@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 /// Maximum number of names in a message.
 pub(super) const SHOWN: usize = 40;
 
-/// Joins at most [`SHOWN`] names with commas; a remark tells how many more there are.
+/// Joins at most [`SHOWN`] names with commas, followed by the number of omitted names.
 pub(super) fn some<'a>(names: impl ExactSizeIterator<Item = &'a str>) -> String {
     let rest = names.len().saturating_sub(SHOWN);
     let mut list = names.take(SHOWN).collect::<Vec<_>>().join(", ");
@@ -26,7 +26,7 @@ pub(super) fn likeliest<'a>(mut names: Vec<&'a str>, wanted: &str) -> Vec<&'a st
     names
 }
 
-/// Returns the Levenshtein distance of two names, ignoring case; compares their first hundred characters.
+/// Returns the Levenshtein distance between the first hundred characters of two names, ignoring ASCII case.
 fn distance(a: &str, b: &str) -> usize {
     let start = |name: &str| name.chars().take(100).collect::<String>().to_ascii_lowercase();
     strsim::levenshtein(&start(a), &start(b))

@@ -1,4 +1,4 @@
-//! Options of a model that a URDF file does not contain, and their checks against the file.
+//! Options with which a URDF file is read, and their checks against the file.
 
 use std::collections::BTreeMap;
 
@@ -95,7 +95,7 @@ pub(super) fn override_limits(tree: &mut Tree, limits: &BTreeMap<String, (f64, f
     Ok(())
 }
 
-/// Returns an error for a joint whose position range is unknown or empty, unless it is continuous.
+/// Returns an error if the position range of joint `j` is unknown or empty, unless the joint is continuous.
 pub(super) fn need_limits(tree: &Tree, j: usize) -> Result<()> {
     let joint = &tree.joints[j];
     let remedy = format!("pass limits = {{\"{}\": (lower, upper)}}", joint.name);

@@ -10,9 +10,9 @@ pub struct Inertial {
     pub mass: f64,
     /// Centre of mass in the link's frame [m].
     pub com: [f64; 3],
-    /// Rotation of the axes in which `inertia` is given: `link_from_inertia`, row-major.
+    /// Rotation `link_from_inertia` (row-major) of the frame in which `inertia` is given.
     pub rotation: [[f64; 3]; 3],
-    /// Inertia about the centre of mass [kg·m²], in the axes that `rotation` defines.
+    /// Inertia about the centre of mass [kg·m²], in the axes of the inertia frame (see `rotation`).
     pub inertia: [[f64; 3]; 3],
 }
 
@@ -39,12 +39,12 @@ pub enum JointKind {
     Prismatic,
     /// No motion.
     Fixed,
-    /// Floating, planar or spherical: fixed at its zero pose; an error between base and tip.
+    /// Floating, planar or spherical. Such a joint is kept at its zero pose; between base and tip it is an error.
     Other,
 }
 
 impl JointKind {
-    /// Returns true if a joint of this type has one coordinate: revolute, continuous or prismatic.
+    /// Returns true for a joint with one degree of freedom: revolute, continuous or prismatic.
     pub const fn is_actuated(self) -> bool {
         matches!(self, Self::Revolute | Self::Continuous | Self::Prismatic)
     }
@@ -76,7 +76,7 @@ pub struct Joint {
     pub parent: usize,
     /// Child link (index into [`Model::links`](super::Model::links)).
     pub child: usize,
-    /// `parent_from_child` at the joint value 0.
+    /// Pose `parent_from_child` at joint value 0.
     pub origin: Pose,
     /// Unit axis in the joint's frame; the z axis for types without an axis.
     pub axis: [f64; 3],
@@ -92,10 +92,10 @@ pub struct Joint {
     pub damping: Option<f64>,
     /// Dry friction [N·m or N]; `None` if absent.
     pub friction: Option<f64>,
-    /// Mimic parameters; `None` if the joint mimics no other.
+    /// Mimic parameters; `None` if the joint does not mimic another joint.
     pub mimic: Option<Mimic>,
-    /// Index of the chain's coordinate that drives the joint, directly or by mimic; `None` if it does not move with the
-    /// chain.
+    /// Index in q of the independent joint that drives this joint (itself, or by mimic); `None` for a joint that does
+    /// not move with the chain.
     pub q_index: Option<usize>,
     /// Value at which the joint is locked [rad or m]; `None` for a joint that moves with the chain or cannot move.
     pub locked_at: Option<f64>,

@@ -1,4 +1,4 @@
-//! Role of each joint in a tree: driven by a coordinate, or locked at a value.
+//! Role of each joint of the tree: independent, driven by an independent joint, or locked at a value.
 
 use std::collections::BTreeMap;
 
@@ -14,25 +14,26 @@ use crate::pose::COORDINATE_BOUND;
 pub(super) enum Role {
     /// Locked at this value [rad or m].
     Still(f64),
-    /// Driven by the coordinate q of index `coordinate`: joint value `multiplier · q + offset`.
-    Moves { coordinate: usize, multiplier: f64, offset: f64 },
+    /// Driven by the independent joint `q_index`, or that joint itself: joint value `multiplier · q[q_index] + offset`.
+    Moves { q_index: usize, multiplier: f64, offset: f64 },
 }
 
 pub(super) struct Roles {
     /// Role of each joint of the tree.
     pub(super) of: Vec<Role>,
-    /// Index into the tree of the joint of each coordinate.
-    pub(super) coordinates: Vec<usize>,
+    /// Indices in the tree of the independent joints, in the order of q.
+    pub(super) independent: Vec<usize>,
 }
 
-/// Determines the role of each joint and the coordinates, and stores them in the joints of the tree.
+/// Chooses the independent joints and the role of every joint for this path and these locks; sets `q_index` and
+/// `locked_at` of the joints in the tree.
 pub(super) fn roles(tree: &mut Tree, path: &[usize], locked: &BTreeMap<String, f64>) -> Result<Roles> {
     let mut fixed_at: Vec<Option<f64>> = vec![None; tree.joints.len()];
     for (name, &value) in locked {
         fixed_at[lockable(tree, name, value)?] = Some(value);
     }
 
-    let mut coordinates: Vec<usize> = Vec::new();
+    let mut independent: Vec<usize> = Vec::new();
     let mut index = vec![None; tree.joints.len()];
     let mut moving = 0;
     for &j in path {
@@ -62,11 +63,11 @@ pub(super) fn roles(tree: &mut Tree, path: &[usize], locked: &BTreeMap<String, f
         }
         moving += 1;
         if index[driver].is_none() {
-            index[driver] = Some(coordinates.len());
-            coordinates.push(driver);
+            index[driver] = Some(independent.len());
+            independent.push(driver);
         }
     }
-    if coordinates.is_empty() {
+    if independent.is_empty() {
         return Err(Error::config(
             "tip",
             format!(
@@ -75,7 +76,7 @@ pub(super) fn roles(tree: &mut Tree, path: &[usize], locked: &BTreeMap<String, f
             ),
         ));
     }
-    if moving > MAX_JOINTS || coordinates.len() > MAX_JOINTS {
+    if moving > MAX_JOINTS || independent.len() > MAX_JOINTS {
         return Err(Error::config(
             "tip",
             format!(
@@ -89,7 +90,7 @@ pub(super) fn roles(tree: &mut Tree, path: &[usize], locked: &BTreeMap<String, f
         let joint = &tree.joints[j];
         let (driver, multiplier, offset) = joint.mimic.map_or((j, 1.0, 0.0), |m| (m.joint, m.multiplier, m.offset));
         of.push(match index[driver] {
-            Some(coordinate) if joint.kind.is_actuated() => Role::Moves { coordinate, multiplier, offset },
+            Some(q_index) if joint.kind.is_actuated() => Role::Moves { q_index, multiplier, offset },
             _ if !joint.kind.is_actuated() => Role::Still(0.0),
             _ => {
                 let at = fixed_at[driver].unwrap_or_else(|| tree.joints[driver].resting_value());
@@ -99,12 +100,12 @@ pub(super) fn roles(tree: &mut Tree, path: &[usize], locked: &BTreeMap<String, f
     }
     for (joint, role) in tree.joints.iter_mut().zip(&of) {
         match *role {
-            Role::Moves { coordinate, .. } => joint.q_index = Some(coordinate),
+            Role::Moves { q_index, .. } => joint.q_index = Some(q_index),
             Role::Still(value) if joint.kind.is_actuated() => joint.locked_at = Some(value),
             Role::Still(_) => {}
         }
     }
-    Ok(Roles { of, coordinates })
+    Ok(Roles { of, independent })
 }
 
 /// Returns the index of the joint of this name; an error if it cannot be locked at this value.

@@ -8,8 +8,8 @@ use super::urdf::text::Source;
 use super::urdf::{guard, reader};
 use crate::error::{Error, Position, Result};
 
-/// Largest multiplier and offset of a mimic joint, also where the file chains several; larger ones could overflow in the
-/// Jacobian and in gravity.
+/// Largest multiplier and offset of a mimic joint, also of a product along a chain of mimics. Larger ones could
+/// overflow in the Jacobian and in gravity.
 const MAX_MIMIC: f64 = 1e6;
 
 /// All links and joints of a robot: a tree with one root, in which each mimic joint refers to its driving joint.
@@ -21,7 +21,7 @@ pub(super) struct Tree {
     pub(super) source_name: String,
     pub(super) links: Vec<Link>,
     pub(super) joints: Vec<Joint>,
-    /// Joints whose parent is each link (indices into `joints`), in the file's order.
+    /// For each link, the joints of which it is the parent (indices into `joints`), in the order of the file.
     pub(super) children: Vec<Vec<usize>>,
     /// Index of the link without a parent joint.
     pub(super) root: usize,
@@ -72,7 +72,8 @@ impl Tree {
         Ok(tree)
     }
 
-    /// Returns the only link without a parent, from which every link must be reachable.
+    /// Returns the root, the only link without a parent; an error if there are several or a link is not reachable from
+    /// it.
     fn find_root(&self, position: impl Fn(usize) -> Position) -> Result<usize> {
         let roots: Vec<usize> = (0..self.links.len()).filter(|&l| self.links[l].parent_joint.is_none()).collect();
         let [root] = roots[..] else {
@@ -102,10 +103,10 @@ impl Tree {
         Ok(root)
     }
 
-    /// Sets the driving joint of each mimic joint, also where the file chains several.
+    /// Sets the mimic parameters of each joint; a chain of mimics is reduced to the joint that drives all of it.
     fn resolve_mimics(&mut self, raw: &[urdf_rs::Joint]) -> Result<()> {
         let index: HashMap<&str, usize> = raw.iter().enumerate().map(|(j, joint)| (joint.name.as_str(), j)).collect();
-        // First the joint that each mimics directly, so that chains can be followed by index.
+        // First the direct mimic parameters, so that chains can be followed by index.
         let mut direct: Vec<Option<Mimic>> = vec![None; raw.len()];
         for (j, raw) in raw.iter().enumerate() {
             let Some(mimic) = raw.mimic.as_ref().filter(|_| self.joints[j].kind.is_actuated()) else { continue };
@@ -122,7 +123,7 @@ impl Tree {
             }
             direct[j] = Some(Mimic { joint, multiplier, offset: mimic.offset.unwrap_or(0.0) });
         }
-        // A joint is resolved before those that mimic it: each is visited once, however long the chains are.
+        // A joint is resolved before the joints that mimic it, so that each is visited once, also in long chains.
         let mut resolved: Vec<Option<Mimic>> = vec![None; raw.len()];
         for start in 0..direct.len() {
             let mut waiting = Vec::new();
@@ -139,13 +140,13 @@ impl Tree {
                 j = mimic.joint;
             }
             while let Some(j) = waiting.pop() {
-                resolved[j] = direct[j].map(|own| match resolved[own.joint] {
+                resolved[j] = direct[j].map(|mimic| match resolved[mimic.joint] {
                     Some(leader) => Mimic {
                         joint: leader.joint,
-                        multiplier: own.multiplier * leader.multiplier,
-                        offset: own.multiplier * leader.offset + own.offset,
+                        multiplier: mimic.multiplier * leader.multiplier,
+                        offset: mimic.multiplier * leader.offset + mimic.offset,
                     },
-                    None => own,
+                    None => mimic,
                 });
             }
         }
@@ -169,7 +170,7 @@ impl Tree {
         self.links[link].parent_joint.map(|j| self.joints[j].parent)
     }
 
-    /// Returns the joints from the link `top` down to the link `bottom`, a descendant of it.
+    /// Returns the joints from the link `top` down to its descendant `bottom`.
     pub(super) fn joints_between(&self, top: usize, bottom: usize) -> Vec<usize> {
         let (mut joints, mut link) = (Vec::new(), bottom);
         while link != top {
@@ -184,7 +185,6 @@ impl Tree {
     /// Returns the index of the link of this name.
     pub(super) fn frame(&self, name: &str) -> Result<usize> {
         self.links.iter().position(|link| link.name == name).ok_or_else(|| {
-            // Most similar names first, at most as many as a message shows.
             let available = likeliest(self.links.iter().map(|link| link.name.as_str()).collect(), name);
             let available = available.into_iter().take(SHOWN).map(str::to_owned).collect();
             Error::FrameNotFound { frame: name.to_owned(), available }

@@ -8,7 +8,7 @@ use crate::pose::Pose;
 /// Names of the task axes, in the order of every 6-vector: linear first, then angular.
 pub const AXIS_NAMES: [&str; MAX_AXES] = ["x", "y", "z", "roll", "pitch", "yaw"];
 
-/// Largest plausible stiffness and damping of an axis, in their units.
+/// Largest accepted stiffness [N/m, N·m/rad] and damping [N·s/m, N·m·s/rad] of an axis.
 const IMPEDANCE_BOUND: f64 = 1e9;
 
 /// Frame whose axes are the task axes.
@@ -24,8 +24,8 @@ pub enum Frame {
 }
 
 impl Frame {
-    /// Returns the rotation matrix from task to base coordinates: its columns are the task axes in the base frame. `tool`
-    /// is the rotation of the tool in the base frame.
+    /// Returns the rotation matrix `base_from_task`: its columns are the task axes in the base frame. `tool` is the
+    /// rotation of the tool in the base frame.
     pub(crate) fn base_from_task(&self, tool: &Mat3) -> Mat3 {
         match self {
             Self::Base => Pose::IDENTITY.rotation,
@@ -132,21 +132,21 @@ pub fn parse_axes(key: &str, text: &str) -> Result<[bool; MAX_AXES]> {
     }
 }
 
-/// Side toward which an axis is compliant, named by the direction of the push.
+/// Directions of a push to which an axis yields.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum CompliantSide {
-    /// Compliant when pushed in either direction.
+    /// Yields to a push in either direction.
     Both,
-    /// Compliant only when pushed toward + (the tool is beyond its target, `e < 0`).
+    /// Yields only to a push toward + (tool beyond its target, deviation e < 0).
     Plus,
-    /// Compliant only when pushed toward − (the tool is short of its target, `e > 0`).
+    /// Yields only to a push toward − (tool short of its target, deviation e > 0).
     Minus,
-    /// Not compliant in either direction.
+    /// Does not yield.
     None,
 }
 
 impl CompliantSide {
-    /// Returns whether the axis is compliant when pushed toward −, and when pushed toward +.
+    /// Returns two flags: the axis yields to a push toward −, and to one toward +.
     pub(crate) fn sides(self) -> [bool; 2] {
         match self {
             Self::Both => [true, true],
@@ -160,7 +160,7 @@ impl CompliantSide {
 /// Strength of a yielding axis as a function of the deviation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Profile {
-    /// From `soft` below `soft_until` to `firm` above `firm_from`, as in (9) of the paper.
+    /// From `soft` below `soft_until` to `firm` above `firm_from`, as in equation (9) of the paper.
     #[default]
     Hardening,
     /// `soft` at every deviation.
@@ -170,7 +170,7 @@ pub enum Profile {
 }
 
 impl Profile {
-    /// Returns the strength at a small deviation and at a large deviation.
+    /// Returns the strengths at a small and at a large deviation.
     pub(crate) fn ends(self, soft: f64, firm: f64) -> [f64; 2] {
         match self {
             Self::Hardening => [soft, firm],
@@ -193,13 +193,13 @@ pub enum OnDeviationLimit {
 
 /// Settings of one task axis. `None` selects the default; the defaults of the strengths depend on law and arm.
 ///
-/// Strengths are forces [N] ([N·m] for rotations) under the laws `cap` and `impedance`, torque budgets [N·m] under law
-/// `paper`; pairs are (pushed toward −, pushed toward +).
+/// A strength (`soft`, `firm`, `hold`) is a force [N] ([N·m] for rotations) under the laws `cap` and `impedance`, a
+/// torque budget [N·m] under law `paper`. Pairs are (pushed toward −, pushed toward +).
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Axis {
-    /// Strength of the yielding axis at a small deviation, τ⁻ of (9), per side.
+    /// Strength of the yielding axis at a small deviation, per side; τ⁻ in equation (9) of the paper.
     pub soft: Option<[f64; 2]>,
-    /// Strength of the yielding axis at a large deviation, τ⁺ of (9), per side.
+    /// Strength of the yielding axis at a large deviation, per side; τ⁺ in equation (9) of the paper.
     pub firm: Option<[f64; 2]>,
     /// Strength toward a side that does not yield.
     pub hold: Option<f64>,
@@ -210,14 +210,15 @@ pub struct Axis {
     pub damping: Option<[f64; 2]>,
     /// Sides that yield; default both if `soft` or `firm` is set, else none.
     pub yields: Option<CompliantSide>,
-    /// Target adaptation η of (12), 0 ≤ η < 1: share of the deviation by which the target of a yielding axis follows
-    /// the tool.
+    /// Target adaptation η, 0 ≤ η < 1, of equation (12) of the paper: share of the deviation by which the target of a
+    /// yielding axis follows the tool.
     pub adaptation: f64,
-    /// Deviation [m or rad] below which the compliance is 1, d⁻ of (8); default 0.01 m or 0.04 rad.
+    /// Deviation [m or rad] below which the compliance is 1; default 0.01 m or 0.04 rad. d⁻ in equation (8) of the
+    /// paper.
     pub soft_until: Option<f64>,
-    /// Deviation [m or rad] above which the compliance is 0, d⁺ of (8); default 0.1 m or 0.4 rad.
+    /// Deviation [m or rad] above which the compliance is 0; default 0.1 m or 0.4 rad. d⁺ in equation (8) of the paper.
     pub firm_from: Option<f64>,
-    /// Profile of the strength between `soft_until` and `firm_from`.
+    /// Shape of the strength between `soft_until` and `firm_from`.
     pub profile: Profile,
     /// Limit of the commanded task velocity while the axis is stiff [m/s or rad/s]; ∞ for no limit; default 0.4 m/s or
     /// 2 rad/s. Law `impedance` ignores it.
@@ -243,7 +244,7 @@ impl Axis {
         self.yields.unwrap_or(if compliant { CompliantSide::Both } else { CompliantSide::None })
     }
 
-    /// Checks every value; `owner` precedes the field's name in the message, e.g. `axes.y`.
+    /// Checks every value. `owner`, e.g. `axes.y`, is the prefix of the field's name in an error message.
     ///
     /// # Errors
     /// [`Error::OutOfRange`] or [`Error::Config`] naming the field.

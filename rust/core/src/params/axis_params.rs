@@ -8,8 +8,8 @@ use crate::params::impedance::default_stiffness;
 use crate::params::joint_space::JointSpaceStats;
 use crate::params::{AXIS_NAMES, Axis, CompliantSide, OnDeviationLimit, Profile, ServoArrays, Settings};
 
-/// Largest adaptation η without a known `k_p` or a captured gravity offset: above it a gravity error would make the arm
-/// drift.
+/// Largest adaptation η if neither `k_p` is known nor a gravity offset was captured: with a larger η, a gravity error
+/// would make the arm drift.
 const MAX_UNVERIFIED_ETA: f64 = 0.95;
 
 /// Strengths of one task axis [N, N·m; N·m under law `paper`]; pairs are (pushed toward −, pushed toward +).
@@ -37,15 +37,15 @@ pub struct AxisImpedance {
 pub(crate) struct AxisParams {
     /// Index of the axis among x, y, z, roll, pitch, yaw.
     pub(crate) axis: usize,
-    /// Largest force or torque of a direction that yields, at a small deviation [N, N·m; N·m under law `paper`].
+    /// Strength of a yielding side at a small deviation [N, N·m; N·m under law `paper`].
     pub(crate) soft: [f64; 2],
-    /// Largest force or torque of a direction that yields, at a large deviation [N, N·m; N·m under law `paper`].
+    /// Strength of a yielding side at a large deviation [N, N·m; N·m under law `paper`].
     pub(crate) firm: [f64; 2],
-    /// Largest force or torque of a direction that does not yield [N, N·m; N·m under law `paper`].
+    /// Strength of a side that does not yield [N, N·m; N·m under law `paper`].
     pub(crate) hold: f64,
     /// Default of `hold` before a larger `firm` raised it; `None` if it was not raised.
     pub(crate) default_hold: Option<f64>,
-    /// 1 for a direction that yields, else 0.
+    /// 1 for a side that yields, else 0.
     pub(crate) yields: [f64; 2],
     /// Stiffness [N/m, N·m/rad]; 0 except under law `impedance`.
     pub(crate) stiffness: [f64; 2],
@@ -85,7 +85,7 @@ pub(crate) struct DeviationLimit {
     pub(crate) reaction: OnDeviationLimit,
 }
 
-/// Returns the deviation limits of the axes that have one; usually none.
+/// Returns the deviation limits of the axes that have one.
 pub(super) fn deviation_limits(settings: &Settings, axes: &[usize]) -> Vec<DeviationLimit> {
     let of = |&axis: &usize| {
         let user = &settings.axes[axis];
@@ -113,8 +113,8 @@ fn default_strengths(
     [of([0.12, 0.45, 1.2], capacity[0]), of([0.105, 0.2, 0.53], capacity[1])]
 }
 
-/// Returns an error if a default strength is needed and zero, as for an arm that cannot hold itself in most
-/// configurations.
+/// Returns an error if an axis uses a default strength that is zero, as for an arm that cannot hold its own weight in
+/// most configurations.
 fn check_defaults(settings: &Settings, axes: &[usize], defaults: &[[f64; 3]; 2]) -> Result<()> {
     for &axis in axes {
         let (user, strengths) = (&settings.axes[axis], &defaults[usize::from(axis >= 3)]);
@@ -130,7 +130,7 @@ fn check_defaults(settings: &Settings, axes: &[usize], defaults: &[[f64; 3]; 2])
     Ok(())
 }
 
-/// Returns the parameters of each task axis, followed by spare rows; an error for inconsistent settings.
+/// Returns the parameters of each task axis, padded to six rows; an error for inconsistent settings.
 pub(super) fn resolve_rows(
     model: &Model,
     settings: &Settings,
@@ -156,7 +156,8 @@ pub(super) fn resolve_rows(
     Ok(rows.map(|row| row.unwrap_or(spare)))
 }
 
-/// Returns the largest adaptation η: 1, which η does not reach, unless an error of `k_p` would make the arm drift.
+/// Returns the upper bound of the adaptation η: 0.95 if a gravity error could make the arm drift, else 1 (η itself
+/// stays below 1).
 pub(crate) fn max_adaptation(settings: &Settings, stiffness_known: bool) -> f64 {
     let safe = !settings.law.by_force() || stiffness_known || settings.accept_high_adaptation;
     if safe { 1.0 } else { MAX_UNVERIFIED_ETA }
@@ -172,7 +173,7 @@ fn resolve_row(
     let (user, name) = (&settings.axes[axis], AXIS_NAMES[axis]);
     let paper = !settings.law.by_force();
     let [soft, firm, hold] = defaults;
-    // Defaults are adjusted to the values that are set, so that soft ≤ firm ≤ hold.
+    // Adjust the defaults to the values that the user has set, so that soft ≤ firm ≤ hold.
     let soft = user.soft.unwrap_or_else(|| user.firm.map_or([soft; 2], |firm| firm.map(|f| f.min(soft))));
     let firm = user.firm.unwrap_or_else(|| soft.map(|s| s.max(firm)));
     let least = firm[0].max(firm[1]);

@@ -7,7 +7,7 @@ use crate::params::axis_params::AxisParams;
 use crate::params::{Frame, Params};
 use crate::{AxisVec, MAX_AXES};
 
-/// One number per task row; spare lanes hold a value that keeps the results in them at zero.
+/// One number per task axis; the unused lanes contain a value with which all results in them are zero.
 pub(crate) type AxisArray = [f64; LANES];
 
 /// The fields of [`AxisParams`] as vectors over the task rows; pairs are (pushed toward −, pushed toward +).
@@ -33,7 +33,7 @@ pub(crate) struct AxisParamsSimd {
     pub(crate) firm_from: AxisArray,
     /// Slope 1 / (firm_from − soft_until) of the compliance, precomputed to save a division in the step.
     pub(crate) compliance_slope: AxisArray,
-    /// 1 / deviation above which a push is detected: `soft_until`, at least a tenth of `firm_from`.
+    /// Reciprocal of the deviation above which a push is detected: `soft_until`, at least a tenth of `firm_from`.
     pub(crate) push_slope: AxisArray,
     /// Half-width [m, rad] of the deviations around zero over which an axis blends between its sides.
     pub(crate) band: AxisArray,
@@ -105,8 +105,8 @@ impl Params {
         if self.k == MAX_AXES {
             return all;
         }
-        // Indexing at run time forces a spill to memory; a copy is spilled, so that the path for all six axes stays in
-        // registers.
+        // Indexing at run time requires an array in memory. Only this copy is one, so the path for all six axes stays
+        // in registers.
         let (all, mut out) = (all.to_axes(), [0.0; MAX_AXES]);
         for r in 0..MAX_AXES {
             if let Some(&value) = all.get(self.axis_simd.axis[r]) {

@@ -7,7 +7,8 @@ use crate::error::{Error, Result};
 use crate::model::Model;
 use crate::params::{Follow, ServoArrays, Settings};
 
-/// Returns an error for more axes than joints without a length that weights translations against rotations.
+/// Returns an error if the task has more axes than the arm has joints, and no length that weights translations against
+/// rotations.
 pub(super) fn check_axes(settings: &Settings, k: usize, n: usize) -> Result<()> {
     if k <= n || settings.task.length.is_some() {
         return Ok(());
@@ -22,7 +23,7 @@ pub(super) fn check_axes(settings: &Settings, k: usize, n: usize) -> Result<()> 
     ))
 }
 
-/// Returns an error under law `paper` if a torque for null-space motion is set but there is no null space.
+/// Returns an error under law `paper` if `null_space.max_torque` is above 0 but there is no null space.
 pub(super) fn check_null_torque(settings: &Settings, k: usize, n: usize) -> Result<()> {
     if settings.law.by_force() || k < n || settings.null_space.max_torque.is_none_or(|torque| torque <= 0.0) {
         return Ok(());
@@ -33,7 +34,7 @@ pub(super) fn check_null_torque(settings: &Settings, k: usize, n: usize) -> Resu
     ))
 }
 
-/// Returns an error if the gain K_x moves some direction away from its target, or exceeds the bound for the delay.
+/// Returns an error if the gain K_x increases the deviation in some direction, or exceeds the bound for the delay.
 pub(super) fn check_gain(settings: &Settings, params: &Params) -> Result<()> {
     let symmetric = DMatrix::from_fn(params.k, params.k, |r, c| 0.5 * (params.kx[r][c] + params.kx[c][r]));
     let shift = 1e-9 * (1.0 + symmetric.amax());
@@ -58,7 +59,7 @@ pub(super) fn check_gain(settings: &Settings, params: &Params) -> Result<()> {
     Ok(())
 }
 
-/// Returns an error if gravity is compensated at a joint that moves an unknown mass, unless a floor of the limits is
+/// Returns an error if gravity is compensated at a joint that moves an unknown mass, unless `torque_limits.floor` is
 /// set.
 pub(super) fn check_gravity(model: &Model, settings: &Settings) -> Result<()> {
     let unknown = model.unknown_mass_joints();

@@ -7,8 +7,8 @@ use crate::error::Error;
 use crate::kinematics::Reference;
 use crate::params::{CompliantSide, Follow, Law, LimitRule, LimitType, OnDeviationLimit, Profile, Projector};
 
-/// Implements conversion between an enum and the names of its variants; `$key` is the name of the setting for the
-/// message.
+/// Implements conversion between an enum and the names of its variants; `$key` is the name of the setting in error
+/// messages.
 macro_rules! words {
     ($($choice:ident of $key:literal: $($word:literal is $variant:ident),+;)+) => { $(
         impl $choice {

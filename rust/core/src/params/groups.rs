@@ -5,17 +5,17 @@ use super::settings::{Damping, Follow, Gain, GravityUse, LimitRule, Projector};
 /// Settings of how the stiff axes track their target.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Tracking {
-    /// Gain K_x [1/s] of (5): a scalar, one value per axis of the task, or a matrix.
+    /// Gain K_x [1/s], equation (5) of the paper: a scalar, one value per axis of the task, or a matrix.
     pub gain: Gain,
     /// Damping of the inverse kinematics near singular poses.
     pub damping: Damping,
     /// Time constant T_f [s] of the filter of the joint velocity.
     pub velocity_filter: f64,
-    /// Limit of the rate at which the goals change [rad/s]; ∞ for no limit.
+    /// Speed limit of the joint goals [rad/s]; ∞ for no limit.
     pub goal_slew: f64,
     /// Speed limit [rad/s] of each joint; `None` for the model's limits.
     pub joint_speed: Option<Vec<f64>>,
-    /// Rate [1/s] at which the lead (goal − q) of stiff axes is integrated into the goal; 0 for no integration.
+    /// Rate [1/s] of the integral action: the lead (goal − q) of the stiff axes accumulates in the goal; 0 for none.
     pub integrate: f64,
 }
 
@@ -39,7 +39,7 @@ pub struct NullSpace {
     pub posture: Option<Vec<f64>>,
     /// Gain α of the null-space motion [1/s]; `None` for the largest entry of the tracking gain.
     pub gain: Option<f64>,
-    /// Bound τ₀ on the torque of the null-space motion summed over all joints [N·m], and its budget under law `paper`;
+    /// Largest torque τ₀ of the null-space motion, summed over all joints [N·m]; under law `paper` its torque budget.
     /// `None`: 2 if the arm is redundant for the task, else 0.
     pub max_torque: Option<f64>,
     /// Law `impedance`: stiffness of the null-space motion [N·m/rad], which replaces `gain`; `None` to use `gain`.
@@ -105,13 +105,13 @@ impl Default for TorqueLimits {
 /// Options of the published law and its variants, for studies; not needed to run an arm.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PaperOptions {
-    /// Coupling of yielding axes with the solve for the stiff ones; `None` for the law's default.
+    /// Role of yielding axes in the inverse kinematics; `None` for the law's default.
     pub follow: Option<Follow>,
     /// Rule for the joint torque limits under the laws `cap` and `impedance`.
     pub limits: LimitRule,
     /// Horizon h [s] of the goal `q + h q̇`.
     pub horizon: f64,
-    /// Gain K_q of (5); law `paper` only.
+    /// Gain K_q, equation (5) of the paper; law `paper` only.
     pub kq: Gain,
     /// Law `paper`: weight of each joint in J⁺; `None` for 1 on all joints.
     pub joint_weights: Option<Vec<f64>>,
@@ -121,19 +121,19 @@ pub struct PaperOptions {
     pub manipulability: f64,
     /// Places in which the gravity model is used, if [`Settings::gravity`](super::Settings::gravity) is set.
     pub gravity_use: GravityUse,
-    /// Factor s_g on the gravity torques in the torque limits.
+    /// Factor s_g on the gravity torques in the torque limits, > 1 for a margin over the model.
     pub gravity_scale: f64,
     /// Speed v₀ [rad/s] at which the friction feed-forward saturates.
     pub friction_speed: f64,
-    /// Half-width of the band of deviations around zero in which an axis blends between its sides, as a share of
-    /// `soft_until`; `None`: 0.1, under law `paper` 0.
+    /// Half-width of the band of deviations around zero in which an axis that yields to one side blends between its two
+    /// sides, as a share of `soft_until`; `None`: 0.1, under law `paper` 0.
     pub direction_band: Option<f64>,
-    /// Computes the compliance from the raw deviation if true, else from the adapted one.
+    /// True to compute the compliance from the raw deviation; false: from the adapted deviation.
     pub raw_deviation: bool,
-    /// Law `paper`: clamps the step of each axis to its torque budget if true.
+    /// Law `paper`: true to clamp the step of each axis to its torque budget.
     pub budget_on_goal: bool,
-    /// Law `paper`: largest lead of a goal (goal − q) [rad]; `None`: the lead that the torque limit can use, 0.3 rad if
-    /// `k_p` is unknown.
+    /// Law `paper`: largest lead (goal − q) [rad]. `None`: slightly more than the lead at which the servo reaches its
+    /// torque limit; 0.3 rad if `k_p` is unknown.
     pub lead_limit: Option<f64>,
 }
 

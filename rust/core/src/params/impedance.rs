@@ -10,23 +10,23 @@ use crate::params::resolved::{GAIN_DELAY_BOUND, REFERENCE_REACH};
 use crate::params::{AXIS_NAMES, Params, ServoArrays, Settings, joint_space};
 use crate::{AxisVec, MAX_AXES, Rows};
 
-/// Default stiffness of translations [N/m] and rotations [N·m/rad] of the arm for which it was tuned.
+/// Default stiffness of translations [N/m] and rotations [N·m/rad], tuned on `arm7`; scaled for other arms.
 const REFERENCE_STIFFNESS: [f64; 2] = [800.0, 20.0];
-/// Mean k_p of the arm for which the default stiffness was tuned [N·m/rad].
+/// Mean k_p [N·m/rad] of `arm7`, on which the default stiffness was tuned.
 const REFERENCE_KP: f64 = 780.0 / 7.0;
 
-/// Largest `ρ(D) (T_e + T_f)` [s²] at which dampers do not oscillate: the velocity that they use is filtered and
-/// delayed.
+/// Largest `ρ(D) (T_e + T_f)` [s²] at which dampers do not oscillate, with the effective delay T_e and the time
+/// constant T_f of the velocity filter.
 const DAMPING_DELAY_BOUND: f64 = 0.007;
 
-/// Largest effective delay T_e [s] at which well damped servos allow a stiffness ρ of `WELL_DAMPED_RATIO`.
+/// Largest effective delay T_e [s] at which well damped servos allow a stiffness ratio ρ of `WELL_DAMPED_RATIO`.
 const WELL_DAMPED_DELAY: f64 = 0.03;
-/// Largest stiffness ρ, relative to the servos' own, that well damped servos allow.
+/// Largest ratio ρ of the axes' stiffness to the servos' own that well damped servos allow.
 const WELL_DAMPED_RATIO: f64 = 3.0;
 
-/// Returns the largest ρ of stiffness [1] and of damping [s] at a delay [s], ∞ if the settings accept the risk. With
-/// T_e = delay + half a period: `max(1, 0.03 s / T_e)` for stiffness, at least 3 for well damped servos up to a T_e of
-/// 0.03 s; `0.007 s² / (T_e + T_f)` for damping.
+/// Returns the largest ratios ρ to the servos' stiffness, of stiffness [1] and of damping [s], at a delay [s]; ∞ with
+/// `accept_high_stiffness`. With T_e = delay + half a period: `max(1, 0.03 s / T_e)` for stiffness, at least 3 for well
+/// damped servos up to a T_e of 0.03 s; `0.007 s² / (T_e + T_f)` for damping.
 pub(super) fn bounds(settings: &Settings, delay: f64, well_damped: bool) -> [f64; 2] {
     if settings.accept_high_stiffness {
         return [f64::INFINITY; 2];
@@ -48,11 +48,10 @@ pub(super) fn default_stiffness(model: &Model, settings: &Settings, servos: &Ser
         .map(rounding::round_to_halves)
 }
 
-/// Returns an error if stiffness or damping that the user has set would oscillate in more than half of the
-/// configurations.
+/// Returns an error if the user's stiffness or damping would oscillate in more than half of the configurations.
 ///
-/// The step reduces the gains further where a configuration requires it, also the default stiffness of other axes; see
-/// [`rho`].
+/// In a configuration that requires lower gains, the step reduces them, including the default stiffness of other axes;
+/// see [`rho`].
 pub(super) fn check(model: &Model, settings: &Settings, params: &Params) -> Result<()> {
     let [max_stiffness, max_damping] = params.impedance_bounds;
     if let Some(stiffness) = settings.null_space.stiffness {
@@ -96,7 +95,7 @@ pub(super) fn check(model: &Model, settings: &Settings, params: &Params) -> Resu
     Ok(())
 }
 
-/// Returns the median over the joint space of ρ of these gains, divided by its bound `max`; 0 if `max` is infinite.
+/// Returns the median over the joint space of `ρ(gains) / max`; 0 if the bound `max` is infinite.
 fn overshoot(model: &Model, params: &Params, gains: &AxisVec, max: f64) -> f64 {
     if max.is_infinite() || gains.iter().all(|&gain| gain <= 0.0) {
         return 0.0;
@@ -106,7 +105,7 @@ fn overshoot(model: &Model, params: &Params, gains: &AxisVec, max: f64) -> f64 {
     joint_space::median_over_rows(model, &params.axes, &params.frame, of) / max
 }
 
-/// Returns the reason for a bound, for the message.
+/// Returns the reason for a bound, for error messages.
 fn why(settings: &Settings) -> String {
     format!("with a delay of {} s at {} Hz a stiffer loop oscillates", settings.delay, settings.rate)
 }

@@ -1,4 +1,4 @@
-//! Medians over the arm's joint space, from which default settings are scaled.
+//! Medians over the arm's joint space, by which default settings are scaled.
 
 use nalgebra::DMatrix;
 
@@ -20,15 +20,15 @@ const TIME_CONSTANT_CONFIGURATIONS: usize = 64;
 
 /// Cached medians over the joint space of one arm with one set of servos.
 ///
-/// Computing them takes milliseconds, longer than a control step may take. The controller keeps them, so that a change
-/// of settings that needs the same medians costs nothing.
+/// Computing them takes milliseconds, longer than a control step may take. The controller keeps them for the next
+/// change of settings.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct JointSpaceStats {
-    /// Axes, frame and length, and the median smallest singular value for them.
+    /// Cache key (axes, frame, length) and value: the median smallest singular value.
     sigma: Option<(Vec<usize>, Frame, f64, f64)>,
-    /// Usable torques [N·m], and the median static force [N] and torque [N·m] for them.
+    /// Cache key (usable torques [N·m]) and value: the median static force [N] and torque [N·m].
     capacity: Option<(JointVec, [f64; 2])>,
-    /// Axes, frame and the servos' `kp` and `armature`, and the squared time constants [s²] for them.
+    /// Cache key (axes, frame, the servos' `kp` and `armature`) and value: the squared time constants [s²].
     time_constants: Option<(Vec<usize>, Frame, [JointVec; 2], AxisVec)>,
 }
 
@@ -85,9 +85,8 @@ impl JointSpaceStats {
     }
 }
 
-/// Returns the median over a few configurations of `C_jj Λ_jj` [s²] for each task row, with `C = J K_p⁻¹ Jᵀ` and
-/// `Λ_jj = 1 / (J M⁻¹ Jᵀ)_jj`: the squared time constant of the axis on the servos' springs. 0 if the masses are
-/// unknown.
+/// Returns the squared time constant [s²] of each task axis on the servos' springs: the median over 64 configurations
+/// of `C_jj Λ_jj`, with `C = J K_p⁻¹ Jᵀ` and `Λ_jj = 1 / (J M⁻¹ Jᵀ)_jj`. 0 if the masses are unknown.
 fn squared_time_constants(model: &Model, servos: &ServoArrays, axes: &[usize], frame: &Frame) -> AxisVec {
     let (n, chain) = (model.n(), model.chain());
     let masses = chain.masses(model.payload());
@@ -141,8 +140,8 @@ pub(crate) fn median_over_rows(model: &Model, axes: &[usize], frame: &Frame, of:
     median(&mut values)
 }
 
-/// Returns the median force [N] and the median torque [N·m] that the joint torques can hold,
-/// `min_i (usable_i + s_i g_i) / |J_ji|`, over the sampled configurations, the base axes and both signs.
+/// Returns the median force [N] and torque [N·m] that the joint torques can hold, over the sampled configurations, the
+/// base axes and both signs: `min_i (usable_i + s_i g_i) / |J_ji|`, where s_i is the sign of ±J_ji.
 fn static_capacity(model: &Model, usable: &JointVec, masses: &GroupMasses, gravity: [f64; 3]) -> [f64; 2] {
     let mut frames = JointFrames::default();
     let mut j_base: Rows = [[0.0; MAX_JOINTS]; MAX_AXES];
@@ -164,12 +163,12 @@ fn static_capacity(model: &Model, usable: &JointVec, masses: &GroupMasses, gravi
     [median(&mut forces), median(&mut moments)]
 }
 
-/// Returns an error for an arm that its servos cannot hold in any sampled configuration: a mass in grams, or wrong
-/// servo data.
+/// Returns an error if the servos cannot hold the arm in any sampled configuration, e.g. because a mass is in grams or
+/// the servo data are wrong.
 pub(crate) fn check_holding(model: &Model, usable: &JointVec, masses: &GroupMasses, gravity: [f64; 3]) -> Result<()> {
     let (mut frames, mut holding) = (JointFrames::default(), [0.0; MAX_JOINTS]);
-    // Smallest maximum of |torque| / usable torque over the configurations, with the joint and the torque [N·m] of that
-    // maximum.
+    // Largest load (|torque| / usable torque) of a joint, with this joint and its torque [N·m], in the configuration
+    // for which that load is smallest.
     let mut best = (f64::INFINITY, 0, 0.0);
     for q in sample_configurations(model) {
         model.chain().forward(&q, &mut frames);

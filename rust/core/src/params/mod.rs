@@ -1,4 +1,4 @@
-//! Settings, task axes and servo parameters, and their resolution for one arm into the constants of the control step.
+//! Settings, task axes and servo parameters, and their conversion into the constants of one arm's control step.
 
 mod axis;
 mod axis_params;

@@ -1,4 +1,4 @@
-//! Reference tracking of the stiff axes: damping and inertia per task axis.
+//! Damping and inertia per task axis, with which the stiff axes track the velocity of their reference.
 
 use crate::math::simd::LANES;
 use crate::model::Model;
@@ -6,13 +6,13 @@ use crate::params::joint_space::JointSpaceStats;
 use crate::params::{AxisArray, ServoArrays, Settings};
 use crate::{AxisVec, MAX_AXES, MAX_JOINTS};
 
-/// Decay rate [1/s] of the velocity error between tool and reference; lower if the delay requires it.
+/// Decay rate [1/s] of the velocity error between tool and reference; less at a long delay.
 const DECAY: f64 = 20.0;
 
-/// Largest product of decay rate and age [s] of the velocity at which the damper does not oscillate.
+/// Largest decay rate times age of the velocity [s] at which the damper does not oscillate.
 const DECAY_DELAY_BOUND: f64 = 0.5;
 
-/// Share of the servo damping cancelled by the feed-forward that the damper restores. It is less than one, because axes
+/// The feed-forward cancels damping of the servos; the damper restores this share of it. It is below 1, because axes
 /// that share joints would restore it twice.
 const RESTORED_SHARE: f64 = 0.5;
 
@@ -20,17 +20,17 @@ const RESTORED_SHARE: f64 = 0.5;
 /// not jolt the arm.
 const MAX_FEEDFORWARD_ACCELERATION: [f64; 2] = [3.0, 12.0];
 
-/// Inertia and damping of each task row relative to the servos' stiffness along it; zero for rows whose reference has
-/// no velocity.
+/// Inertia and damping of each task axis, divided by the servos' stiffness along it; zero for an axis whose reference
+/// has no velocity.
 #[derive(Debug, Clone)]
 pub(crate) struct PacingParams {
-    /// True if any row has an inertia, that is a reference with a velocity.
+    /// True if an axis has an inertia, so that its reference has a velocity.
     pub(crate) on: bool,
     /// Squared time constant `Λ_j C_jj` [s²] of each axis on the servos' springs: inertia divided by stiffness.
     pub(crate) inertia: AxisArray,
     /// Bound on the acceleration feed-forward [m/s², rad/s²].
     pub(crate) max_acceleration: AxisArray,
-    /// Time constant [s] of the damper of each axis at the present delay: damping divided by stiffness.
+    /// Time constant [s] of the damper of each axis (damping divided by stiffness) at the present delay.
     pub(crate) damping: AxisArray,
     /// Part of `damping` that restores the servo damping cancelled by the feed-forward [s].
     restored: f64,

@@ -5,13 +5,13 @@ use crate::params::{
     AXIS_NAMES, Axis, CompliantSide, Law, NullSpace, PaperOptions, Profile, Settings, TorqueLimits, Tracking,
 };
 
-/// Target adaptation η of an axis that a person or a mechanism moves.
+/// Target adaptation η of an axis that yields in preset `soft`.
 const ETA_SOFT: f64 = 0.9;
 
 /// η of a door: the handle moves the tool, and the target pulls it back only weakly.
 const ETA_DOOR: f64 = 0.999;
 
-/// η of a plug: with a larger value friction moves it past the hole, with a smaller one the walls push harder.
+/// η of a plug. With a larger η, friction carries the plug past the hole; with a smaller one, the walls push harder.
 const ETA_PLUG: f64 = 0.5;
 
 /// η of hand guiding: the largest that does not require a known `k_p`.
@@ -20,8 +20,8 @@ const ETA_HAND_GUIDING: f64 = 0.95;
 /// Null-space gain α [1/s] for an arm that is moved far from its posture: a quarter of the default K_x.
 const ALPHA_WEAK_POSTURE: f64 = 1.0;
 
-/// `soft_until` and `firm_from` [m] of an axis that exerts one force at any deviation: no servo reaches that force
-/// within the first millimetre.
+/// `soft_until` and `firm_from` [m] of an axis with the same force cap at any deviation. They are so small that no
+/// servo reaches the cap below them.
 const CAPPED_DEVIATIONS: [f64; 2] = [0.001, 0.002];
 
 /// `soft_until` and `firm_from` [m] between which the strength falls while a person takes the object.
@@ -30,8 +30,8 @@ const HAND_OVER_DEVIATIONS: [f64; 2] = [0.01, 0.05];
 impl Settings {
     /// Returns law `paper` as published: no gravity model and no limits beyond those of the paper.
     ///
-    /// Strengths are torque budgets [N·m] with the defaults soft 0.5, firm = hold = 10; no axis yields by default. The
-    /// remaining limits are the paper's limit on the step of each axis and the joint speeds of the model.
+    /// Strengths are torque budgets [N·m] with the defaults soft 0.5, firm = hold = 10; no axis yields by default.
+    /// Limited are only the velocity of each axis, as in the paper, and the joint speeds of the model.
     pub fn paper() -> Self {
         Self {
             law: Law::Paper,
@@ -60,8 +60,8 @@ impl Settings {
         Self::default()
     }
 
-    /// Returns settings for opening and closing doors: lateral (y) and yaw follow the handle with η = 0.999, for which
-    /// `accept_high_adaptation` is set; the others hold.
+    /// Returns settings for opening and closing doors: the axes y (lateral) and yaw follow the handle with η = 0.999;
+    /// the others hold. Sets `accept_high_adaptation`.
     ///
     /// The posture task is a quarter as strong as by default, because a handle moves the arm on an arc far from its
     /// start.
@@ -116,9 +116,10 @@ impl Settings {
     /// yield. The caller opens the gripper when the deviation indicates a pull.
     pub fn hand_over() -> Self {
         let [near, far] = HAND_OVER_DEVIATIONS;
-        let taken = Axis { profile: Profile::Softening, soft_until: Some(near), firm_from: Some(far), ..yielding(0.0) };
-        let turned = yielding(ETA_SOFT);
-        Self { axes: [taken, taken, taken, turned, turned, turned], ..Self::default() }
+        let linear =
+            Axis { profile: Profile::Softening, soft_until: Some(near), firm_from: Some(far), ..yielding(0.0) };
+        let angular = yielding(ETA_SOFT);
+        Self { axes: [linear, linear, linear, angular, angular, angular], ..Self::default() }
     }
 
     /// Returns settings for inserting a plug into a hole along `axis`, with a sign (`"-z"`), with at most the force
@@ -129,7 +130,7 @@ impl Settings {
     /// # Errors
     /// As [`Settings::drawer`].
     pub fn plug(axis: &str, push: Option<f64>) -> Result<Self> {
-        // The hole resists the insertion, so it pushes the tool in the opposite direction.
+        // The hole pushes the tool against the direction of insertion.
         let (name, resists) = match axis.split_at_checked(1) {
             Some(("-", name)) => (name, CompliantSide::Plus),
             Some(("+", name)) => (name, CompliantSide::Minus),
@@ -153,12 +154,13 @@ fn weak_posture() -> NullSpace {
     NullSpace { gain: Some(ALPHA_WEAK_POSTURE), ..NullSpace::default() }
 }
 
-/// Returns an axis that yields to both sides with this adaptation η.
+/// Returns an axis that yields in both directions with this adaptation η.
 fn yielding(adaptation: f64) -> Axis {
     Axis { yields: Some(CompliantSide::Both), adaptation, ..Axis::default() }
 }
 
-/// Returns an axis that is as stiff as its servos up to one force, `max` or the arm's default, and yields beyond it.
+/// Returns an axis that is as stiff as its servos up to the force `max` (default: that of the arm) and yields beyond
+/// it.
 fn capped(what: &str, max: Option<f64>, yields: CompliantSide) -> Result<Axis> {
     let [soft_until, firm_from] = CAPPED_DEVIATIONS.map(Some);
     let axis = Axis { yields: Some(yields), soft_until, firm_from, ..Axis::default() };

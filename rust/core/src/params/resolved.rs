@@ -1,4 +1,4 @@
-//! Settings, servos and model resolved into the arrays that the control step reads.
+//! Constants of the control step, computed from settings, servos and model.
 
 use nalgebra::DMatrix;
 
@@ -21,13 +21,15 @@ use crate::params::{
 use crate::pose::{Pose, TargetRegion};
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS};
 
-/// Reach [m] of the arm for which the damping constants were tuned; they are scaled for other arms.
+/// Reach [m] of the arm on which the damping constants were tuned; they are scaled for other arms.
 pub(super) const REFERENCE_REACH: f64 = 0.71;
 
-/// Smallest increase of λ in the redistribution solve: used if the settings have no singularity damping.
+/// Lower bound on λ_max in the solve that redistributes the motion of joints at position limits: it damps that solve
+/// also if the settings have no singularity damping.
 const MIN_REDISTRIBUTION_DAMPING: f64 = 0.05;
 
-/// Largest `K_x h T_e` or `ρ T_e` [s] at which the stiff axes do not oscillate; T_e is the delay plus half a period.
+/// Largest `K_x h T_e` (law `cap`) or `ρ T_e` (law `impedance`) [s] at which the stiff axes do not oscillate; h is the
+/// horizon, T_e the delay plus half a period, ρ the stiffness relative to the servos'.
 pub(super) const GAIN_DELAY_BOUND: f64 = 0.03;
 
 /// Damping λ of the damped least-squares inverse kinematics, in the units of the scaled Jacobian:
@@ -70,8 +72,8 @@ pub(crate) struct Params {
     /// Law `paper`: true if the step of each axis is clamped to its torque budget.
     pub(crate) budget_on_goal: bool,
     pub(crate) frame: Frame,
-    /// The task's axes as columns, in the base, unless they turn with the tool. Also stored if they are those of the
-    /// base: building them in registers and storing them in the step would stall the load that follows.
+    /// Rotation `base_from_task` of a task frame that does not turn with the tool. Stored also if it is the identity,
+    /// because building a matrix in the step would stall the next load of it.
     pub(super) fixed_axes: Mat3,
     /// Index of each task row's axis among x, y, z, roll, pitch, yaw.
     pub(crate) axes: Vec<usize>,
@@ -85,10 +87,9 @@ pub(crate) struct Params {
     pub(crate) max_adaptation: f64,
     /// Axes with a deviation limit; if there are none, the step skips that part.
     pub(crate) deviation_limits: Vec<DeviationLimit>,
-    /// Factor on each task row, 1 / length for translations and 1 for rotations, which makes the singular values of
-    /// mixed rows comparable.
+    /// Factor on each task row: 1 / length for translations, 1 for rotations, so that singular values have no unit.
     pub(crate) row_scale: AxisVec,
-    /// Factor on λ² of each task row, which gives it the squared unit of the row.
+    /// Factor on λ² of each task row: length² for translations, 1 for rotations.
     pub(crate) damping_scale: AxisVec,
     /// Gain K_x over the task rows [1/s].
     pub(crate) kx: [[f64; MAX_AXES]; MAX_AXES],
@@ -96,10 +97,10 @@ pub(crate) struct Params {
     pub(crate) kq_columns: [JointVec; MAX_JOINTS],
     /// The gain K_q if it is a scalar, else `None`.
     pub(crate) kq_scalar: Option<f64>,
-    /// Factor ≤ 1 on K_x that keeps it within the bound for the present delay.
+    /// Factor ≤ 1 on K_x; below 1 if K_x exceeds the bound for the present delay.
     pub(crate) gain_scale: f64,
-    /// Largest ρ of stiffness [1] and of damping [s] under law `impedance` at the present delay; ∞ if the settings
-    /// accept the risk.
+    /// Law `impedance`: largest stiffness [1] and damping [s] relative to the servos' stiffness at the present delay; ∞
+    /// with `accept_high_stiffness`.
     pub(crate) impedance_bounds: [f64; 2],
     /// Stiffness of the null-space motion under law `impedance` [N·m/rad], used instead of α; `None` to use α.
     pub(crate) null_stiffness: Option<f64>,
@@ -107,8 +108,8 @@ pub(crate) struct Params {
     pub(crate) alpha: f64,
     /// Damping of the inverse kinematics.
     pub(crate) damping: DampingParams,
-    /// Damping λ² of each row in the redistribution solve. It is that of a singular pose, because the arm often is
-    /// singular without its locked joints.
+    /// Damping λ² of each row in the redistribution solve: that of a singular pose, because an arm is often singular
+    /// without the joints that are at position limits.
     pub(crate) redistribution_damping: AxisVec,
     /// Parameters of the servos.
     pub(crate) servos: ServoArrays,
@@ -116,7 +117,7 @@ pub(crate) struct Params {
     pub(crate) cost: NullSpaceCost,
     /// Rest posture [rad]; `None` for the joint positions at reset.
     pub(crate) posture: Option<JointVec>,
-    /// True if a step depends on the singular values of its task rows.
+    /// True if a step uses the singular values of its task rows.
     pub(crate) tracks_sigma: bool,
     /// True if a step needs the gravity torques.
     pub(crate) uses_gravity: bool,
@@ -142,8 +143,8 @@ pub(crate) struct Params {
     /// Distance by which goals may exceed the position limits [rad]: the lead (goal − q) at which a servo exerts its
     /// full torque.
     pub(crate) overtravel: JointVec,
-    /// Largest slope, lead per overtravel [rad/rad], with which a lead that exerts a force fades while its joint is
-    /// beyond a position limit.
+    /// Largest slope [rad/rad] with which the lead that exerts a force is reduced while its joint is beyond a position
+    /// limit.
     pub(crate) limit_fade_slope: f64,
     /// Distance of each joint to its limit [rad or m] below which the posture task fades; −∞ if it never does.
     pub(crate) clearance: JointVec,
@@ -155,7 +156,7 @@ pub(crate) struct Params {
     pub(crate) max_host_loss_force: Option<f64>,
     /// Largest rate at which each torque limit may rise [N·m/s]; ∞ for no bound.
     pub(crate) max_limit_rate: JointVec,
-    /// Compliance 1/k_g of each joint that converts gravity torque to an offset of the goal [rad/(N·m)].
+    /// Compliance 1/k_g [rad/(N·m)] of each joint: gravity torque × compliance is the gravity offset of the goal.
     pub(crate) gravity_compliance: JointVec,
 }
 
@@ -178,8 +179,8 @@ impl Params {
         let known = captured || servos.is_some_and(|s| s.stiffness_known);
         let rows = resolve_rows(model, settings, &arrays, &axes, known, joint_space_stats)?;
         let unit = settings.task.length.filter(|_| k > n).unwrap_or_else(|| scale_length(model.reach()));
-        // A constant λ is added to rows in mixed units, as printed in (3); with more axes than joints it must weight
-        // them.
+        // The paper adds one constant λ to rows of different units. With more axes than joints λ weights the rows
+        // against each other, so it is scaled to their units.
         let as_printed = matches!(settings.tracking.damping, Damping::Fixed(_)) && k <= n;
         let row_scale = of_translations(&axes, 1.0 / unit);
         let damping_scale = of_translations(&axes, if as_printed { 1.0 } else { unit * unit });
@@ -282,8 +283,8 @@ impl Params {
         horizon * crate::math::svd::singular_values(&DMatrix::from_fn(self.k, self.k, |r, c| self.kx[r][c])).max()
     }
 
-    /// Updates the bounds that depend on the measured delay [s]: the factor on K_x (1 under laws without such a bound),
-    /// and the bounds of springs, dampers, fades and pacing.
+    /// Updates what depends on the measured delay [s]: the factor on K_x (1 under laws without such a bound), the
+    /// bounds of springs and dampers, the fade past position limits and the damper of the reference tracking.
     pub(crate) fn set_delay(&mut self, delay: f64, settings: &Settings) {
         let (gain, bound) = (self.gain(settings.paper_options.horizon), self.gain_bound(delay, 1.0 / settings.rate));
         self.gain_scale = if self.law.bounds_gain() && gain > bound { bound / gain } else { 1.0 };
@@ -332,9 +333,9 @@ fn of_translations(axes: &[usize], scale: f64) -> AxisVec {
     out
 }
 
-/// Returns `of(i)` for each of `n` joints, then `rest` as padding.
-fn joints(n: usize, rest: f64, of: impl Fn(usize) -> f64) -> JointVec {
-    std::array::from_fn(|i| if i < n { of(i) } else { rest })
+/// Returns `value(i)` for each of the first `n` joints and `padding` for the rest.
+fn joints(n: usize, padding: f64, value: impl Fn(usize) -> f64) -> JointVec {
+    std::array::from_fn(|i| if i < n { value(i) } else { padding })
 }
 
 fn scale_length(reach: f64) -> f64 {

@@ -4,8 +4,8 @@ use crate::MAX_AXES;
 use crate::error::{Error, Result};
 use crate::params::{AXIS_NAMES, Params};
 
-/// Force caps [N, N·m; N·m under law `paper`] and adaptation η of one arm of a batch, in the order of the axes' names;
-/// `None` for those of the settings.
+/// Force caps [N, N·m; N·m under law `paper`] and adaptation η of one arm of a batch, for x, y, z, roll, pitch, yaw.
+/// `None`: the values of the settings.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct RowAxes<'a> {
     pub(crate) caps: Option<&'a [f64]>,
@@ -72,7 +72,7 @@ impl Params {
         })
     }
 
-    /// Replaces caps and adaptation of the axes that yield; the values are checked.
+    /// Replaces caps and adaptation of the yielding axes by values that [`Params::check_row_axes`] has accepted.
     #[inline(always)]
     pub(crate) fn set_row_axes(&mut self, axes: RowAxes<'_>) {
         if !axes.is_empty() {
@@ -99,7 +99,7 @@ impl Params {
         }
     }
 
-    /// Returns the task row of this axis if it yields.
+    /// Returns the task row of this axis; `None` if the axis does not yield or is not in the task.
     fn row_that_yields(&self, axis: usize) -> Option<usize> {
         let rows = self.per_axis.iter().take(self.k);
         rows.enumerate().find(|(_, row)| row.axis == axis && row.is_compliant()).map(|(r, _)| r)

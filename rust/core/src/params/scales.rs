@@ -1,4 +1,4 @@
-//! Scalings and bounds of the control step that are constant between changes of the settings.
+//! Scalings and bounds of the control step that change only with the settings.
 
 use crate::error::Result;
 use crate::math::simd::{F64x8, JointVector, RealOps};
@@ -8,14 +8,14 @@ use crate::params::{DampingParams, Frame, Params, Projector, Settings};
 use crate::pose::{COORDINATE_BOUND, Pose};
 use crate::{JointVec, MAX_AXES, MAX_JOINTS};
 
-/// Largest distance of a plausible reading beyond a joint's position limits [rad]: half a turn. A reading farther out
-/// is in degrees, or from another robot.
+/// Largest plausible distance [rad] of a reading beyond a joint's position limits: half a turn. A reading farther out
+/// is probably in degrees, or from another robot.
 const MAX_OVERTRAVEL: f64 = std::f64::consts::PI;
 
 /// Largest distance to a position limit [rad or m] below which the posture task fades.
 const MAX_CLEARANCE: f64 = 0.05;
 
-/// Distance to a position limit below which the posture task fades, as a share of a short joint range.
+/// For short joint ranges, this share of the range replaces [`MAX_CLEARANCE`].
 const CLEARANCE_SHARE: f64 = 0.05;
 
 /// Returns the distance of each joint to its limit [rad or m] below which the posture task fades.
@@ -36,7 +36,7 @@ pub(super) fn q_plausible(model: &Model) -> [JointVec; 2] {
     out
 }
 
-/// Returns true if a step depends on the singular values of its task rows.
+/// Returns true if a step uses the singular values of its task rows.
 pub(super) fn tracks_sigma(settings: &Settings, damping: &DampingParams) -> bool {
     settings.law.by_force()
         || damping.sigma_0 > 0.0
@@ -45,14 +45,13 @@ pub(super) fn tracks_sigma(settings: &Settings, damping: &DampingParams) -> bool
 }
 
 impl Params {
-    /// Checks that joint positions are finite and no farther beyond the position limits than a real joint can be; pads
-    /// them.
+    /// Checks that joint positions are finite and plausible (see [`q_plausible`]); returns them padded.
     pub(crate) fn positions(&self, model: &Model, what: &str, values: &[f64]) -> Result<JointVec> {
         let [lowest, highest] = &self.q_plausible;
         model.joints_between(what, values, lowest, highest)
     }
 
-    /// Returns true if positions are within the bounds of [`Params::positions`].
+    /// Returns true if [`Params::positions`] would accept these positions.
     #[inline(always)]
     pub(crate) fn is_plausible<J: JointVector>(&self, q: J) -> bool {
         let (zero, one) = (J::splat(0.0), J::splat(1.0));
@@ -60,7 +59,7 @@ impl Params {
         !zero.is_any_lt(J::select_lt(J::load(&self.q_plausible[0]), q, below, one))
     }
 
-    /// Returns the task's axes as columns, in the base, for this pose of the tool.
+    /// Returns `base_from_task` for this pose of the tool: its columns are the task axes in the base frame.
     #[inline(always)]
     pub(crate) fn base_from_task(&self, tool: &Pose) -> Mat3 {
         match self.frame {
@@ -79,7 +78,7 @@ impl Params {
         out
     }
 
-    /// Returns λ² of each row divided by the servos' mean stiffness, `λ²/k̄`.
+    /// Returns `λ²/k̄`: λ² of each row divided by the servos' mean stiffness.
     #[inline(always)]
     pub(crate) fn per_stiffness<W: F64x8>(&self, squared: W) -> W {
         squared / W::splat(self.servos.kp_mean)

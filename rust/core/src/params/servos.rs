@@ -28,21 +28,21 @@ pub struct Servos {
     pub kp: Vec<f64>,
     /// Usable torque at the present voltage [N·m] > 0; no torque limit exceeds it.
     pub max_torque: Vec<f64>,
-    /// Dry friction of gears and motor [N·m] ≥ 0.
+    /// Dry (Coulomb) friction of gears and motor [N·m] ≥ 0.
     pub friction: Vec<f64>,
     /// Additional dry friction per N·m of load torque [1] ≥ 0, for gears whose friction increases with the load.
     pub load_friction: Vec<f64>,
-    /// Additional static friction [N·m] ≥ 0, which vanishes at high speed (Stribeck).
+    /// Stribeck friction [N·m] ≥ 0: additional dry friction at rest, which vanishes at high speed.
     pub stribeck: Vec<f64>,
-    /// Additional static friction per N·m of load torque [1] ≥ 0, which vanishes at high speed.
+    /// Stribeck friction per N·m of load torque [1] ≥ 0.
     pub load_stribeck: Vec<f64>,
-    /// Speed at which a third of the additional static friction remains [rad/s] > 0.
+    /// Speed at which a third of the Stribeck friction remains [rad/s] > 0.
     pub stribeck_speed: Vec<f64>,
-    /// Viscous damping of gears and back-EMF that acts outside the torque limit [N·m·s/rad] ≥ 0.
+    /// Viscous damping of gears and back-EMF [N·m·s/rad] ≥ 0; the torque limit does not bound its torque.
     pub damping: Vec<f64>,
-    /// Damping of the servo's own loop, inside the torque limit [N·m·s/rad] ≥ 0.
+    /// Derivative gain of the position loop [N·m·s/rad] ≥ 0; its torque counts toward the torque limit.
     pub kv: Vec<f64>,
-    /// Rotor inertia at the joint [kg·m²] ≥ 0; used by the contact estimator, the descent and simulators.
+    /// Rotor inertia at the joint [kg·m²] ≥ 0; used by the contact estimator, by `Lowering` and by simulators.
     pub armature: Vec<f64>,
     /// Angle of one encoder count [rad] ≥ 0; 0 to neglect it.
     pub encoder_step: Vec<f64>,
@@ -136,7 +136,7 @@ impl Servos {
         })
     }
 
-    /// Returns name, values and smallest allowed value of every list.
+    /// Returns the name, the values and the smallest valid value of every list.
     fn fields(&self) -> Vec<(&'static str, &[f64], f64)> {
         let mut fields: Vec<(&'static str, &[f64], f64)> = vec![
             ("kp", &self.kp, MIN),
@@ -158,7 +158,7 @@ impl Servos {
     }
 }
 
-/// Servo parameters of the control step: one entry per joint, neutral values in the padding.
+/// Servo parameters of the control step, one entry per joint; the padding contains neutral values.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct ServoArrays {
     /// True if `k_p` is known; otherwise `kp` is 1.
@@ -175,15 +175,15 @@ pub(crate) struct ServoArrays {
     pub(crate) friction: JointVec,
     /// Additional dry friction per N·m of load torque [1].
     pub(crate) load_friction: JointVec,
-    /// Additional static friction [N·m].
+    /// Stribeck friction [N·m]: additional dry friction at rest.
     pub(crate) stribeck: JointVec,
-    /// Additional static friction per N·m of load torque [1].
+    /// Stribeck friction per N·m of load torque [1].
     pub(crate) load_stribeck: JointVec,
-    /// 1 / speed at which a third of the additional static friction remains [s/rad]; 0 without servos.
+    /// Reciprocal of the speed at which a third of the Stribeck friction remains [s/rad]; 0 without servos.
     pub(crate) inv_stribeck_speed: JointVec,
-    /// Total viscous damping of gears, the servo's own loop and back-EMF [N·m·s/rad].
+    /// Viscous damping of gears and back-EMF, plus the derivative gain [N·m·s/rad].
     pub(crate) damping: JointVec,
-    /// Viscous damping outside the torque limit [N·m·s/rad]: all but that of the servo's own loop.
+    /// Viscous damping of gears and back-EMF [N·m·s/rad], which the torque limit does not bound.
     pub(crate) drag: JointVec,
     /// Rotor inertia at the joint [kg·m²].
     pub(crate) armature: JointVec,
@@ -192,8 +192,7 @@ pub(crate) struct ServoArrays {
 }
 
 impl ServoArrays {
-    /// Returns true if every joint has a damping `d/k_p ≥ 0.04 s`, which lets the stiff axes be three times as stiff as
-    /// the servos.
+    /// Returns true if every joint has `d/k_p ≥ 0.04 s`. The stiff axes may then be three times as stiff as the servos.
     pub(crate) fn well_damped(&self, n: usize) -> bool {
         (0..n.min(MAX_JOINTS)).all(|i| self.damping[i] * self.compliance[i] >= 0.04)
     }
@@ -203,9 +202,9 @@ impl ServoArrays {
         self.friction[i] + self.stribeck[i] + (self.load_friction[i] + self.load_stribeck[i]) * torque.abs()
     }
 
-    /// Returns the compliance 1/k_g [rad/(N·m)] of each joint of an arm at rest: `(goal − q) / holding`, within 0.3…3 ×
-    /// the configured `k_p`, where |holding| exceeds three times the torque that friction and one encoder count can
-    /// hide, else the configured 1/`k_p`.
+    /// Returns the compliance 1/k_g [rad/(N·m)] of each joint of an arm at rest: `(goal − q) / holding`, clamped so
+    /// that k_g is 0.3 to 3 times the configured `k_p`. Where |holding| is at most three times what friction or one
+    /// encoder count can hide, the configured 1/`k_p`.
     pub(crate) fn captured_compliance(&self, n: usize, q: &JointVec, goal: &JointVec, holding: &JointVec) -> JointVec {
         let mut captured = self.compliance;
         for i in 0..n {
@@ -217,8 +216,8 @@ impl ServoArrays {
         captured
     }
 
-    /// Creates the arrays from servos expanded by [`Servos::for_joints`]; without servos, the usable torques are the
-    /// effort limits of the model.
+    /// Creates the arrays from the result of [`Servos::for_joints`]. Without servos, the usable torques are the effort
+    /// limits of the model.
     pub(crate) fn new(n: usize, servos: Option<&Servos>, effort: &[Option<f64>]) -> Self {
         let mut arrays = Self {
             has_kp: servos.is_some(),

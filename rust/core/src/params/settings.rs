@@ -7,18 +7,18 @@ use crate::params::{Axis, Compensation, NullSpace, PaperOptions, Task, TorqueLim
 /// Control law.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Law {
-    /// The paper's equations (3)–(12): a torque budget per task axis.
+    /// Equations (3) to (12) of the paper: a torque budget per task axis.
     Paper,
     /// A force cap per task axis; the default.
     #[default]
     Cap,
-    /// A spring, a damper and a force cap per task axis.
+    /// A spring and a damper per task axis, with a force cap.
     Impedance,
 }
 
-/// Properties of a law on which the resolution of the settings and the stages around the law depend.
+/// Properties of a law that code outside the law depends on.
 struct LawProperties {
-    /// True if strengths are forces at the tool, which requires `k_p`; false if they are torque budgets.
+    /// True if strengths are forces at the tool, which require a known `k_p`; false if they are torque budgets.
     by_force: bool,
     /// True if the law uses the springs and dampers of the axes.
     has_springs: bool,
@@ -41,7 +41,7 @@ impl Law {
         }
     }
 
-    /// Returns true if strengths are forces at the tool, which requires `k_p`.
+    /// Returns true if strengths are forces at the tool, which require a known `k_p`.
     pub(crate) const fn by_force(self) -> bool {
         self.properties().by_force
     }
@@ -57,13 +57,13 @@ impl Law {
     }
 }
 
-/// Coupling of the yielding axes with the inverse kinematics of the stiff ones.
+/// Role of the yielding axes in the inverse kinematics.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Follow {
-    /// Yielding axes are left out of the solve and exert exactly their force; the default of the laws `cap` and
-    /// `impedance`.
+    /// The inverse kinematics leave out yielding axes, which exert exactly their force; the default of the laws `cap`
+    /// and `impedance`.
     Free,
-    /// All axes stay in one solve, yielding ones with clamped steps; the default of law `paper`.
+    /// The inverse kinematics contain all axes; the steps of yielding axes are clamped. The default of law `paper`.
     Hold,
 }
 
@@ -83,7 +83,7 @@ pub enum Projector {
     /// `I − Jᵀ(JJᵀ + μ²I)⁻¹J`, where μ is 0 except near singular poses.
     #[default]
     Exact,
-    /// `I − J⁺J` with the damped J⁺, as printed in (4).
+    /// `I − J⁺J` with the damped pseudo-inverse J⁺: equation (4) of the paper.
     Paper,
 }
 
@@ -114,8 +114,8 @@ impl GravityUse {
 /// Damping λ of the inverse kinematics.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub enum Damping {
-    /// Derived from the arm: σ₀ is twice the median of the smallest singular value σ over 512 configurations, λ_max =
-    /// σ₀, λ₀ = 0.13 σ₀; rounded to two digits.
+    /// Derived from the arm: σ₀ is twice the median of the smallest singular value over 512 configurations, λ_max = σ₀,
+    /// λ₀ = 0.13 σ₀, rounded to two digits.
     #[default]
     Auto,
     /// A constant λ.
@@ -190,16 +190,16 @@ pub struct Settings {
     pub rate: f64,
     /// Delay T_d [s] from the reading of the positions to the arrival of the goal.
     pub delay: f64,
-    /// Uses the gravity model in goals and torque limits if true.
+    /// True to use the gravity model in goals and torque limits.
     pub gravity: bool,
-    /// Limit of the speed, linear and angular [m/s, rad/s], of the reference that the law tracks; ∞ for no limit. The
-    /// tool may be faster for a short time after it was stuck by friction.
+    /// Linear and angular speed limits [m/s, rad/s] of the reference that the law tracks; ∞ for no limit. For a short
+    /// time after friction has held it back, the tool may be faster.
     pub max_tool_speed: [f64; 2],
-    /// Limit of the acceleration, linear and angular [m/s², rad/s²], of the reference that the law tracks.
+    /// Linear and angular acceleration limits [m/s², rad/s²] of the reference that the law tracks.
     pub max_tool_acceleration: [f64; 2],
-    /// Accepts an adaptation η above the bound for a stiffness `k_p` that is not known.
+    /// True to accept an adaptation η above 0.95 although the stiffness `k_p` is not known.
     pub accept_high_adaptation: bool,
-    /// Law `impedance`: accepts stiffness and damping above the bounds that follow from rate and delay.
+    /// Law `impedance`: true to accept stiffness and damping above the bounds that follow from rate and delay.
     pub accept_high_stiffness: bool,
     /// Settings of how the stiff axes track their target.
     pub tracking: Tracking,
@@ -250,7 +250,7 @@ impl Settings {
         Ok(())
     }
 
-    /// Returns the coupling of yielding axes with the solve for the stiff ones; the law's default if it is not set.
+    /// Returns `paper_options.follow`, or the law's default if it is not set.
     pub fn effective_follow(&self) -> Follow {
         self.paper_options.follow.unwrap_or(self.law.properties().follow)
     }

@@ -37,8 +37,8 @@ impl Settings {
         self.paper_options.validate()
     }
 
-    /// Checks that springs and dampers are set only under law `impedance`, and [`Follow::Hold`] not under it, because
-    /// it has no solve.
+    /// Returns an error for springs or dampers under a law other than `impedance`, and for [`Follow::Hold`] under law
+    /// `impedance`, which has no inverse kinematics.
     fn validate_impedance(&self) -> Result<()> {
         if self.law.has_springs() {
             return match self.paper_options.follow {

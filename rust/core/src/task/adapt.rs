@@ -1,4 +1,4 @@
-//! Target adaptation, equation (12), and the blend between the two sides of an axis.
+//! Target adaptation, equation (12) of the paper, and the blend between the two sides of an axis.
 
 use crate::math::rotation::rotation_matrix;
 use crate::math::simd::{BaselineF64, RealOps};
@@ -6,10 +6,11 @@ use crate::pose::Pose;
 use crate::task::compliance::clamp01;
 use crate::task::pose_error;
 
-/// Returns the weight, 0 to 1, of the values for "pushed toward +" at the deviation `e`; `slope` is 1 / (2 `band`).
+/// Returns the weight, 0 to 1, of the values for an axis pushed toward + (tool beyond its target, deviation e < 0);
+/// `slope` is 1 / (2 `band`).
 ///
-/// Pushed toward + means that the tool is beyond its target, e < 0. Within ± `band` of zero the weight is linear in
-/// `e`, so that encoder noise does not switch it. With `band` = 0 it switches at zero.
+/// Within ± `band` the weight is linear in `e`, so that encoder noise does not switch it; with `band` = 0 it switches
+/// at zero.
 #[inline(always)]
 pub(crate) fn push_side_blend<A: RealOps>(e: A::Real, band: A::Real, slope: A::Real) -> A::Real {
     let (zero, one) = (A::splat(0.0), A::splat(1.0));
@@ -17,17 +18,17 @@ pub(crate) fn push_side_blend<A: RealOps>(e: A::Real, band: A::Real, slope: A::R
     A::select_lt(zero, band, linear, A::select_lt(e, zero, one, zero))
 }
 
-/// Returns the adapted deviation `ẽ = (1 − η w) e` of one axis or of a vector of axes. This form of (12) has no memory,
-/// hence does not depend on the control rate.
+/// Returns the adapted deviation `ẽ = (1 − η w) e` of one axis or of a vector of axes. This form of the paper's
+/// equation (12) has no memory, so it does not depend on the control rate.
 #[inline(always)]
 pub(crate) fn adapt_deviation<A: RealOps>(e: A::Real, eta: A::Real, softness: A::Real) -> A::Real {
     A::fnma(eta, softness, A::splat(1.0)) * e
 }
 
-/// Returns the intermediate target of (12) as a pose: `x_d + η (x − x_d)` on the compliant axes, `x_d` on the others,
-/// in base axes.
+/// Returns the intermediate target, equation (12) of the paper, as a pose: `x_d + η (x − x_d)` on the compliant axes,
+/// `x_d` on the others, in base axes.
 ///
-/// For rotations, it scales the components of the rotation vector of the deviation, not Euler angles.
+/// For rotations, η scales components of the rotation vector of the deviation, not Euler angles.
 pub fn adapt_target(actual: &Pose, target: &Pose, eta: f64, compliant: [bool; 6]) -> Pose {
     let e = pose_error(actual, target);
     let mut adapted = e;

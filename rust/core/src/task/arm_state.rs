@@ -1,4 +1,4 @@
-//! State of the arm at the predicted positions, in the rows of the task.
+//! State of the arm at the predicted joint positions, with the Jacobian rows of the task.
 
 use crate::MAX_AXES;
 use crate::kinematics::KinematicState;
@@ -25,7 +25,7 @@ pub(crate) struct ArmState<'a, J: JointVector> {
 }
 
 impl<'a, J: JointVector> ArmState<'a, J> {
-    /// Computes task rows and gravity torques from the kinematics `view`; `row_storage` is memory for the rows.
+    /// Computes task rows and gravity torques from the kinematics `view`; stores the rows in `row_storage`.
     #[inline(always)]
     pub(crate) fn new(
         params: &Params,

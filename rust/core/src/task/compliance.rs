@@ -1,12 +1,12 @@
-//! Compliance (8) and holding torque (9).
+//! Compliance and holding torque, equations (8) and (9) of the paper.
 
 use crate::math::simd::{BaselineF64, RealOps};
 use crate::params::Profile;
 
-/// Returns the compliance c ∈ [0, 1] of (8): 1 if the absolute deviation is below `soft_until`, 0 above `firm_from`,
-/// linear between.
+/// Returns the compliance c, equation (8) of the paper: 1 if the absolute deviation is below `soft_until`, 0 above
+/// `firm_from`, linear between.
 ///
-/// (8) is printed without the absolute value, which would make every negative deviation fully compliant.
+/// The paper omits the absolute value; every negative deviation would then be fully compliant.
 pub fn compliance(deviation: f64, soft_until: f64, firm_from: f64) -> f64 {
     compliance_by::<BaselineF64>(deviation, firm_from, 1.0 / (firm_from - soft_until))
 }
@@ -29,14 +29,15 @@ pub(crate) fn lerp<A: RealOps>(share: A::Real, here: A::Real, there: A::Real) ->
     A::fma(share, there, (A::splat(1.0) - share) * here)
 }
 
-/// Returns the strength of a yielding axis at the compliance `c`: `c soft + (1 − c) firm` as in (9), or that of another
-/// profile.
+/// Returns the strength of a yielding axis at the compliance `c`: `c soft + (1 − c) firm` for [`Profile::Hardening`],
+/// as in equation (9) of the paper.
 pub fn strength(c: f64, soft: f64, firm: f64, profile: Profile) -> f64 {
     let [near, far] = profile.ends(soft, firm);
     lerp::<BaselineF64>(c, far, near)
 }
 
-/// Returns the holding torque of one axis as in (9): `c soft + (1 − c) firm` if the axis is compliant, else `hold`.
+/// Returns the holding torque of one axis, equation (9) of the paper: `c soft + (1 − c) firm` if compliant, else
+/// `hold`.
 pub fn holding_torque(c: f64, soft: f64, firm: f64, hold: f64, compliant: bool) -> f64 {
     if compliant { strength(c, soft, firm, Profile::Hardening) } else { hold }
 }

@@ -1,4 +1,4 @@
-//! Demand of each task axis in one step: deviation, softness, compliance, strength and step.
+//! Deviation of each task axis in one control step, and the quantities computed from it.
 
 use crate::MAX_AXES;
 use crate::math::simd::F64x8;
@@ -6,20 +6,20 @@ use crate::params::{AxisArray, Params, Settings};
 use crate::task::adapt::{adapt_deviation, push_side_blend};
 use crate::task::compliance::{compliance_by, lerp};
 
-/// Deviation of each task axis and the quantities that follow from it; one lane per task row, zeros after the last.
+/// Deviation of each task axis and the quantities computed from it; one lane per task axis, zeros in unused lanes.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct AxisDemand<W> {
     /// Deviation e = target − tool [m, rad].
     pub(crate) deviation: W,
     /// Adapted deviation ẽ = (1 − η w) e [m, rad].
     pub(crate) adapted: W,
-    /// Softness w ∈ [0, 1]: 1 if the axis yields to the push, 0 if not, between within the direction band.
+    /// Softness w ∈ [0, 1]: 1 if the axis yields to the push, 0 if not; blended at small deviations.
     pub(crate) softness: W,
-    /// Compliance c ∈ [0, 1] of (8).
+    /// Compliance c, equation (8) of the paper: 1 at a small deviation, 0 at a large one.
     pub(crate) compliance: W,
     /// Strength F of a yielding axis [N, N·m; N·m under law `paper`].
     pub(crate) strength: W,
-    /// Largest strength w F + (1 − w) hold, in the unit of F.
+    /// Strength blended by softness, w F + (1 − w) hold, in the unit of F.
     pub(crate) max_strength: W,
     /// Stiffness K per axis [N/m, N·m/rad], for the side on which the deviation lies.
     pub(crate) stiffness: W,
@@ -27,9 +27,9 @@ pub(crate) struct AxisDemand<W> {
     pub(crate) damping: W,
     /// Velocity of the target, fed forward [m/s, rad/s].
     pub(crate) twist: W,
-    /// Step s = h (K_x ẽ + twist) [m, rad], within the step limits of soft axes.
+    /// Step s = h (K_x ẽ + twist) [m, rad] over the horizon h, clamped to the step limit of a soft axis.
     pub(crate) displacement: W,
-    /// Step s = h (K_x ẽ + twist) [m, rad], within the step limits of soft and of stiff axes.
+    /// Step s [m, rad], clamped to the step limit of a soft or a stiff axis according to its softness.
     pub(crate) clamped_displacement: W,
 }
 
@@ -86,8 +86,8 @@ fn apply_kx<W: F64x8>(params: &Params, adapted: W) -> W {
     pull
 }
 
-/// Returns the limit of each axis' step [m, rad]. A vector is never scaled by its norm: a large soft step would reduce
-/// the step of the stiff axes.
+/// Returns the step limit [m, rad] of each axis by its softness `w`. The limits are per axis: with a limit on the norm
+/// of all steps, a large step of a soft axis would reduce those of the stiff axes.
 #[inline(always)]
 fn max_displacement<W: F64x8>(w: W, stiff: W, soft: W) -> W {
     let (zero, one, endless) = (W::splat(0.0), W::splat(1.0), W::splat(f64::INFINITY));

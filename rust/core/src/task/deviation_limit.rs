@@ -1,7 +1,7 @@
 //! Deviation limits of stiff axes.
 //!
-//! The limiter moves the reference instead of clipping the deviation. The reference has a state and a bounded speed, so
-//! that after a release the tool returns at that speed and does not jump.
+//! The limiter moves the reference instead of clipping the deviation. The speed of the reference is bounded, so that
+//! after a release the tool returns at that speed and does not jump.
 
 use crate::math::rotation::{base_to_task, rotation_matrix, rotation_vector, task_to_base};
 use crate::math::simd::BaselineF64;
@@ -12,7 +12,7 @@ use crate::task::pose_error;
 use crate::task::reference_governor::ReferenceGovernor;
 use crate::{AxisVec, MAX_AXES};
 
-/// Change of a deviation [m or rad] up to which it counts as unchanged: rounding must not release a stopped target.
+/// Change of a deviation [m or rad] that counts as none, so that rounding errors do not release a stopped target.
 const MIN_CHANGE: f64 = 1e-9;
 
 impl DeviationLimit {
@@ -22,7 +22,7 @@ impl DeviationLimit {
     }
 }
 
-/// Poses from which the deviation limits of one step are computed.
+/// Poses that the deviation limits of one step use.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct DeviationLimiter<'a> {
     /// Pose of the tool at the predicted positions, `base_from_tool`.
@@ -54,8 +54,8 @@ impl DeviationLimiter<'_> {
 
     /// Bounds the deviation of `reference` from the tool; `None` if no axis exceeds its limit.
     ///
-    /// First stops the whole reference where its motion would increase the excess of a `Wait` axis. Then moves the
-    /// reference along each `Yield` axis to within its limit of the tool.
+    /// First shortens the motion of the reference so that it does not take a `Wait` axis farther beyond its limit. Then
+    /// moves the reference along each `Yield` axis until the deviation is at its limit.
     pub(crate) fn limit(&self, limits: &[DeviationLimit], reference: &Pose) -> Option<LimitedReference> {
         let (mut active, mut progress) = ([false; MAX_AXES], 1.0_f64);
         let (from, to) = (self.error(self.before), self.error(reference));
@@ -64,7 +64,7 @@ impl DeviationLimiter<'_> {
             if (limit.limited(e1) - e1).abs() > 0.0 {
                 active[limit.axis] = true;
                 if limit.reaction == OnDeviationLimit::Wait {
-                    // A deviation beyond the limit, caused by a push, need not decrease but must not grow.
+                    // A push can cause a deviation beyond the limit. The reference must not increase it.
                     let allowed = e1.clamp(e0.min(-limit.max[1]), e0.max(limit.max[0]));
                     let share = if (e1 - e0).abs() > MIN_CHANGE { (allowed - e0) / (e1 - e0) } else { 0.0 };
                     progress = progress.min(share.clamp(0.0, 1.0));
@@ -88,7 +88,7 @@ impl DeviationLimiter<'_> {
         Some(LimitedReference { reference, error, progress, active })
     }
 
-    /// Returns the pose whose deviation from the tool is `error` (6,) [m, rad], in the task frame.
+    /// Returns the pose that deviates from the tool by `error` (6,) [m, rad], in the task frame.
     fn beside_tool(&self, error: &AxisVec) -> Pose {
         let e = task_to_base(self.base_from_task, error);
         let mut pose = *self.tool;
@@ -100,8 +100,8 @@ impl DeviationLimiter<'_> {
     }
 }
 
-/// Bounds the deviation of stiff axes by moving the reference of `governor`. Sets the reference's velocity along axes
-/// at their limit to zero and scales it along the others like its motion. `None` if no axis exceeds its limit.
+/// Bounds the deviation of stiff axes by moving the reference of `governor`. Its velocity becomes zero along axes at
+/// their limit; along the others it is scaled like its motion. Returns `None` if no axis exceeds its limit.
 #[cold]
 #[inline(never)]
 pub(crate) fn limit_deviation(
@@ -118,7 +118,7 @@ pub(crate) fn limit_deviation(
     Some(limited)
 }
 
-/// Returns the pose at `share` of the way between two poses: on a straight line, rotated about one fixed axis.
+/// Interpolates between two poses, on a straight line and about one fixed axis; `share` is 0 at `from`, 1 at `to`.
 fn interpolate(from: &Pose, to: &Pose, share: f64) -> Pose {
     let mut pose = *from;
     for (value, end) in pose.position.iter_mut().zip(to.position) {
@@ -175,7 +175,7 @@ mod tests {
         assert!((limited.progress - 0.25).abs() < 1e-12);
         assert!((limited.error[0] - 0.02).abs() < 1e-15 && (limited.error[1] - 0.1).abs() < 1e-12);
         assert!((limited.error[5] - 0.1).abs() < 1e-12);
-        // The tool was pushed beyond the limit: the reference may only move back.
+        // A push has moved the tool beyond the limit: the reference may only move toward it.
         let outside = DeviationLimiter { before: &at(0.05, 0.0, 0.0), ..limiter };
         assert!(outside.limit(&limits, &at(0.06, 0.1, 0.0)).unwrap().progress.abs() < 1e-15);
         assert!((outside.limit(&limits, &at(0.04, 0.1, 0.0)).unwrap().progress - 1.0).abs() < 1e-15);

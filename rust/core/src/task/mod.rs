@@ -1,4 +1,4 @@
-//! Task axes: from the tool's pose to deviation, softness, compliance and strength of each axis.
+//! Deviation, softness, compliance and strength of each task axis, computed from the poses of tool and target.
 
 pub mod adapt;
 mod arm_state;
@@ -19,8 +19,8 @@ use crate::math::simd::JointVector;
 use crate::math::spatial::Mat3;
 use crate::params::Frame;
 
-/// Returns the [`task_rows`](crate::kinematics::task_rows) of a task in `frame`, stored in `storage`; `j_base` itself if
-/// the task has all six base axes.
+/// Returns the Jacobian rows of a task in `frame`, stored in `storage`: [`task_rows`](crate::kinematics::task_rows), or
+/// `j_base` itself if the task has all six base axes.
 #[inline(always)]
 fn rows_in<'a, J: JointVector>(
     frame: &Frame,

@@ -1,4 +1,5 @@
-//! Reference governor: follows the target within speed and acceleration bounds, and waits for an arm at its limits.
+//! Reference governor: the reference follows the target within speed and acceleration bounds, and waits for an arm
+//! whose torques or speeds are at their limits.
 
 use crate::math::rotation::{rotation_matrix, rotation_matrix_by, task_to_base};
 use crate::math::simd::{BaselineF64, RealOps};
@@ -8,18 +9,18 @@ use crate::pose::Pose;
 use crate::task::{pose_error, pose_error_by};
 use crate::{AxisVec, MAX_AXES};
 
-/// Distance between target and reference [m, rad] above which the reference may be held back.
+/// Linear and angular distance between target and reference [m, rad] above which the reference may be held back.
 const FAR_THRESHOLD: [f64; 2] = [0.05, 0.2];
 
-/// Largest deceleration with which the reference is held back [m/s², rad/s²]: an abrupt stop would shake the arm.
+/// Largest deceleration when the reference is held back [m/s², rad/s²]; an abrupt stop would shake the arm.
 const MAX_HOLD_DECELERATION: [f64; 2] = [3.0, 12.0];
 
 /// Trace, 1 + 2 cos, of a rotation by `FAR_THRESHOLD[1]`.
 const TRACE_FAR_THRESHOLD: f64 = 2.960_133_155_682_483;
 
-/// Reference pose between the start and the target, with its velocity; bounded in speed and acceleration.
+/// Reference pose that moves toward the target with bounded speed and acceleration.
 ///
-/// Small enough to be copied without a call of memcpy.
+/// The fields are few enough that a copy does not call memcpy.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct ReferenceGovernor {
     /// The reference, `base_from_tool`.
@@ -28,7 +29,7 @@ pub(crate) struct ReferenceGovernor {
     pub(crate) velocity: [f64; 6],
     /// Target of the last step.
     pub(crate) target: Pose,
-    /// Speed of the target in the last step, linear and angular [m/s, rad/s]; 0 for a jump.
+    /// Linear and angular speed of the target in the last step [m/s, rad/s]; 0 if the target jumped.
     pub(crate) target_speed: [f64; 2],
 }
 
@@ -48,7 +49,7 @@ impl ReferenceGovernor {
         (self.pose, self.velocity) = (pose, velocity);
     }
 
-    /// Returns whether the reference is exactly at the target of the last step, for position and rotation.
+    /// Returns two flags, for position and rotation: the reference equals the target of the last step exactly.
     #[inline(always)]
     pub(crate) fn arrived(&self) -> [bool; 2] {
         let (mut position, mut rotation) = (0, 0);
@@ -61,8 +62,8 @@ impl ReferenceGovernor {
         [position == 0, rotation == 0]
     }
 
-    /// Returns whether the target is farther than [`FAR_THRESHOLD`] from the reference, for position and rotation.
-    /// False if `speed` is infinite, since the reference then equals the target.
+    /// Returns two flags, for position and rotation: the target is farther than [`FAR_THRESHOLD`] from the reference.
+    /// False where `speed` is infinite, since the reference then equals the target.
     #[inline(always)]
     pub(crate) fn lags(&self, speed: [f64; 2]) -> [bool; 2] {
         let (mut squared, mut trace) = (0.0, 0.0);
@@ -78,13 +79,12 @@ impl ReferenceGovernor {
         ]
     }
 
-    /// Takes back `share` of the motion from `before` to the reference along the deviation `lag` (6,), base axes. The
-    /// bounds are speed [m/s, rad/s] and acceleration [m/s², rad/s²], each linear and angular. It decelerates with at
-    /// most [`MAX_HOLD_DECELERATION`] plus the acceleration bound, which the step may have used.
+    /// Undoes `share` of the motion that the reference has made since `before` along the deviation `lag` (6,), base
+    /// axes. The bounds are speed [m/s, rad/s] and acceleration [m/s², rad/s²], each linear and angular. The
+    /// deceleration is at most [`MAX_HOLD_DECELERATION`] plus the acceleration bound, which the step may have used.
     ///
-    /// Motion perpendicular to `lag` and against it is unchanged: an arm that is pressed against an object slides along
-    /// it, and an arm that lags is not pulled further. Nothing is taken back while the target is near, so that an arm
-    /// whose target lies slightly inside an object presses on it.
+    /// Motion perpendicular or opposite to `lag` is unchanged, so an arm pressed against an object slides along it.
+    /// While the target is near, nothing is undone, so an arm whose target is slightly inside an object presses on it.
     pub(crate) fn hold_back(
         &mut self,
         before: &Pose,
@@ -99,7 +99,7 @@ impl ReferenceGovernor {
             let (d, m) = (part(lag), part(&moved));
             let gained = d[0] * m[0] + d[1] * m[1] + d[2] * m[2];
             let squared = d[0] * d[0] + d[1] * d[1] + d[2] * d[2];
-            // Division by a lag whose square underflows is not possible; it counts as zero.
+            // A lag whose square underflows counts as zero, because it is a divisor below.
             if !behind[b] || gained <= 0.0 || squared < f64::MIN_POSITIVE {
                 continue;
             }
@@ -162,7 +162,7 @@ impl ReferenceGovernor {
         for (b, block) in blocks.iter_mut().enumerate() {
             let part = |v: &[f64; 6]| [v[3 * b], v[3 * b + 1], v[3 * b + 2]];
             let (target_velocity_now, fast) = target_velocity::<A>(part(&moved), speed[b], dt);
-            // The reference may decelerate as fast as its target, so that it does not overshoot.
+            // The reference may brake as hard as its target does, so that it does not overshoot.
             let braked = (self.target_speed[b] - fast).max(0.0);
             self.target_speed[b] = fast;
             *block = approach::<A>(
@@ -194,11 +194,11 @@ impl ReferenceGovernor {
     }
 }
 
-/// Missing share of the stiff axes' wrench at and above which the reference stops completely.
+/// If at least this share of the stiff axes' wrench is missing, the reference stops completely.
 const HOLD_THRESHOLD: f64 = 0.2;
 
-/// Returns the degree to which the reference is held back, 0 to 1, for an arm that can exert `share` of its stiff axes'
-/// wrench.
+/// Returns the degree, 0 to 1, to which the reference is held back if the arm can exert only `share` of the wrench of
+/// its stiff axes.
 #[inline(always)]
 pub(crate) fn hold_fraction(share: f64) -> f64 {
     ((1.0 - share) / HOLD_THRESHOLD).min(1.0)
@@ -219,7 +219,7 @@ pub(crate) struct ReferenceHold<'a> {
 }
 
 impl ReferenceHold<'_> {
-    /// Takes back the motion along the deviation that the reference has made since `before`.
+    /// Undoes part of the motion that the reference has made since `before` along the deviation.
     #[cold]
     #[inline(never)]
     pub(crate) fn apply(&self, before: &Pose, governor: &mut ReferenceGovernor) {
@@ -231,8 +231,8 @@ impl ReferenceHold<'_> {
     }
 }
 
-/// Returns the velocity of a target that moved by `moved` in `dt` [s], and its norm; zero for a jump, a motion faster
-/// than `speed`.
+/// Returns the velocity of a target that moved by `moved` in `dt` [s], and its norm; both zero for a jump, which is a
+/// motion faster than `speed`.
 #[inline(always)]
 fn target_velocity<A: RealOps<Real = f64>>(moved: [f64; 3], speed: f64, dt: f64) -> ([f64; 3], f64) {
     let velocity = scale::<A>(1.0 / dt, &moved);
@@ -240,10 +240,11 @@ fn target_velocity<A: RealOps<Real = f64>>(moved: [f64; 3], speed: f64, dt: f64)
     if size <= speed { (velocity, size) } else { ([0.0; 3], 0.0) }
 }
 
-/// Returns the velocity of the reference for this period toward a target at the offset `d`, and whether it reaches the
-/// target in this period. `v` is its present velocity, `target_velocity_now` that of the target.
+/// Returns the velocity of the reference for this period, and true if it reaches the target in this period. The target
+/// is at the offset `d` from the reference; `v` is the reference's present velocity, `target_velocity_now` the
+/// target's.
 ///
-/// `max` holds the largest acceleration, and an additional change of velocity that is allowed in this period.
+/// `max` is the largest acceleration, and an additional change of velocity allowed in this period.
 #[inline(always)]
 fn approach<A: RealOps<Real = f64>>(
     d: [f64; 3],
@@ -260,8 +261,8 @@ fn approach<A: RealOps<Real = f64>>(
     let v = clamp_norm::<A>(v, speed);
     let behind = add_scaled::<A>(&d, -dt, &target_velocity_now);
     let distance = norm::<A>(&behind);
-    // Speed from which braking for `periods` ends exactly at the target: the discrete √(2 a d). ∞ is clamped to
-    // f64::MAX, because 0 · ∞ would be NaN.
+    // Speed from which braking for `periods` ends exactly at the target, the discrete form of √(2 a d). The step is
+    // clamped to f64::MAX, because 0 · ∞ would be NaN.
     let step = (max[0] * dt).min(f64::MAX);
     let periods = (0.5 * ((1.0 + 8.0 * distance / (step * dt)).sqrt() - 1.0)).ceil().max(1.0);
     let braking = distance / (periods * dt) + 0.5 * step * (periods - 1.0);

@@ -34,7 +34,7 @@ pub(crate) fn single(controller: &mut Controller, q: &[f64], target: &Pose, inpu
     [bits(command.goal()), bits(command.torque_limit()), bits(command.speed_limit())]
 }
 
-/// Positions and targets of many arms: random, at the limits and slightly beyond, stretched out, and at rest.
+/// Positions and targets of many arms: random, at the limits, slightly beyond them, stretched out, and at rest.
 pub(crate) struct Arms {
     pub(crate) q: Vec<f64>,
     pub(crate) poses: Vec<Pose>,

@@ -1,4 +1,4 @@
-//! Helpers of the test files: data, reference computations, finite differences, comparison.
+//! Helpers of the tests: data files, reference implementations, finite differences, comparison.
 
 use std::path::{Path, PathBuf};
 
@@ -43,7 +43,8 @@ pub(crate) fn robot(name: &str) -> Model {
     Model::from_urdf_file(data("robots").join(name).with_extension("urdf"), &between("base", "tool")).unwrap()
 }
 
-/// Returns the pose of every link in the base, by recursion over the whole tree: slow, to check the fast kinematics.
+/// Returns the pose of every link in the base, by recursion over the whole tree: a reference implementation, to check
+/// the fast kinematics.
 pub(crate) fn link_poses(model: &Model, q: &[f64]) -> Vec<Isometry3<f64>> {
     let mut poses = vec![Isometry3::identity(); model.links().len()];
     let root = model.links().iter().position(|link| link.parent_joint.is_none()).unwrap();
@@ -96,7 +97,7 @@ pub(crate) fn isometry(pose: &Pose) -> Isometry3<f64> {
     Isometry3::from_parts(Translation3::from(Vector3::from(pose.position)), rotation)
 }
 
-/// Returns joint positions inside the limits (±π for continuous joints), always the same for the same `seed`.
+/// Returns joint positions inside the limits (±π for continuous joints), determined by `seed`.
 pub(crate) fn state(model: &Model, seed: usize) -> Vec<f64> {
     (0..model.n())
         .map(|k| {

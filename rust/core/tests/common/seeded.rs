@@ -1,4 +1,4 @@
-//! Random numbers that are the same on every machine, and arms with their servos.
+//! Random numbers that are identical on every machine, and arms with their servos.
 #![allow(dead_code, reason = "each test file is a crate of its own and uses a part of this")]
 
 use std::f64::consts::PI;
@@ -79,7 +79,7 @@ impl Random {
                 pose.rotation[i][j] = (0..3).map(|k| turn[i][k] * before[k][j]).sum();
             }
         }
-        // A target beyond the allowed distance is moved inward until it is accepted.
+        // Move a target that is too far away inward until it is accepted.
         let centre = model.reach_origin();
         while model.check_target(&pose).is_err() {
             for (value, from) in pose.position.iter_mut().zip(centre) {
@@ -90,8 +90,8 @@ impl Random {
     }
 }
 
-/// Returns an arm by index: 0 the built-in arm of seven joints, 1 the one with a rotated mount and tool, 2 one of five
-/// joints.
+/// Returns an arm by index: 0: the built-in arm of seven joints; 1: the same with rotated mount and tool; 2: an arm of
+/// five joints.
 pub(crate) fn arm(index: usize, options: &ModelOptions) -> Arc<Model> {
     let root = concat!(env!("CARGO_MANIFEST_DIR"), "/../..");
     let (file, tip) = [

@@ -29,8 +29,8 @@ fn axis(random: &mut Random, law: Law, translation: bool, small: bool) -> Axis {
     ]);
     let soft_until = random.between(0.0, 0.05);
     let scale = unit * if small { 1.0 } else { 4.0 };
-    let mut springs = |most: f64| {
-        let pair = [most * random.unit(), most * random.unit()];
+    let mut springs = |max: f64| {
+        let pair = [max * random.unit(), max * random.unit()];
         (law == Law::Impedance).then(|| random.pick(&[pair, pair, [0.0, pair[1]], [0.0; 2]]))
     };
     let (stiffness, damping) = (springs(10.0 * scale), springs(0.5 * scale));
@@ -56,17 +56,17 @@ fn axis(random: &mut Random, law: Law, translation: bool, small: bool) -> Axis {
     }
 }
 
-fn gain(random: &mut Random, size: usize, most: f64) -> Gain {
+fn gain(random: &mut Random, size: usize, max: f64) -> Gain {
     match random.below(4) {
-        0 => Gain::Diagonal((0..size).map(|_| random.between(0.1, most)).collect()),
+        0 => Gain::Diagonal((0..size).map(|_| random.between(0.1, max)).collect()),
         1 => {
-            // A dominant diagonal, scaled so that the norm of the matrix stays below `most`.
-            let scale = most / (1.0 + 0.2 * size as f64);
+            // A dominant diagonal, scaled so that the norm of the matrix is below `max`.
+            let scale = max / (1.0 + 0.2 * size as f64);
             let entry =
                 |r: usize, c: usize, random: &mut Random| scale * if r == c { 1.0 } else { random.between(-0.2, 0.2) };
             Gain::Matrix((0..size).map(|r| (0..size).map(|c| entry(r, c, random)).collect()).collect())
         }
-        _ => Gain::Scalar(random.between(0.3, most)),
+        _ => Gain::Scalar(random.between(0.3, max)),
     }
 }
 
@@ -90,7 +90,7 @@ pub(crate) fn settings(random: &mut Random, model: &Model, law: Law) -> Settings
         1 => Frame::Tool,
         _ => Frame::Rotation(random.rotation()),
     };
-    let free_of_kp = law == Law::Paper && random.chance(0.3);
+    let works_without_kp = law == Law::Paper && random.chance(0.3);
     let joints =
         |random: &mut Random, low: f64, high: f64| -> Vec<f64> { (0..n).map(|_| random.between(low, high)).collect() };
     let per_axis = std::array::from_fn(|a| if axes[a] { axis(random, law, a < 3, small) } else { Axis::default() });
@@ -129,7 +129,7 @@ pub(crate) fn settings(random: &mut Random, model: &Model, law: Law) -> Settings
             ..TorqueLimits::default()
         },
         paper_options: PaperOptions {
-            follow: if free_of_kp || law == Law::Impedance {
+            follow: if works_without_kp || law == Law::Impedance {
                 None
             } else {
                 random.pick(&[None, Some(Follow::Free), Some(Follow::Hold)])
@@ -137,7 +137,7 @@ pub(crate) fn settings(random: &mut Random, model: &Model, law: Law) -> Settings
             limits: random.pick(&[LimitRule::Demand, LimitRule::Demand, LimitRule::Sum]),
             kq: if law == Law::Paper { gain(random, n, 1.5) } else { Gain::Scalar(1.0) },
             posture_weights: random.chance(0.3).then(|| joints(random, 0.0, 1.5)),
-            gravity_use: if free_of_kp {
+            gravity_use: if works_without_kp {
                 GravityUse::Limits
             } else {
                 random.pick(&[
@@ -151,7 +151,7 @@ pub(crate) fn settings(random: &mut Random, model: &Model, law: Law) -> Settings
             gravity_scale: random.pick(&[1.0, 1.1]),
             direction_band: random.pick(&[None, Some(0.0), Some(0.5)]),
             raw_deviation: random.chance(0.2),
-            budget_on_goal: law == Law::Paper && !free_of_kp && random.chance(0.5),
+            budget_on_goal: law == Law::Paper && !works_without_kp && random.chance(0.5),
             joint_weights: if law == Law::Paper && random.chance(0.3) { Some(joints(random, 0.3, 3.0)) } else { None },
             lead_limit: random.pick(&[None, None, Some(0.05), Some(f64::INFINITY)]),
             ..PaperOptions::default()
@@ -160,9 +160,9 @@ pub(crate) fn settings(random: &mut Random, model: &Model, law: Law) -> Settings
     }
 }
 
-/// Returns `settings`, changed until this arm accepts them: springs and dampers reduced to the bound from rate and
-/// delay, a fixed damping where the axes cannot be moved independently.
-pub(crate) fn tamed(model: &Arc<Model>, mut settings: Settings, servos: Option<&Servos>) -> Settings {
+/// Returns `settings`, changed until this arm accepts them: springs and dampers are reduced to their bound, and the
+/// damping is fixed if the axes cannot be moved independently.
+pub(crate) fn accepted_settings(model: &Arc<Model>, mut settings: Settings, servos: Option<&Servos>) -> Settings {
     while let Err(error) = Controller::new(Arc::clone(model), settings.clone(), servos.cloned()) {
         let text = error.to_string();
         if text.contains("stiffness") || text.contains("axes.damping") {
@@ -180,7 +180,7 @@ pub(crate) fn tamed(model: &Arc<Model>, mut settings: Settings, servos: Option<&
 }
 
 /// Returns true if these settings do not need `k_p`.
-pub(crate) fn free_of_kp(settings: &Settings) -> bool {
+pub(crate) fn works_without_kp(settings: &Settings) -> bool {
     settings.law == Law::Paper
         && settings.effective_follow() == Follow::Hold
         && !settings.paper_options.budget_on_goal

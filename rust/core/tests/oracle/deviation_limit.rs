@@ -1,5 +1,5 @@
-//! Deviation limits, written independently of the crate: first the waiting axes stop the target, then the yielding axes
-//! let it follow the tool.
+//! Deviation limits of the oracle: first axes with `Wait` stop the target, then it follows the tool along axes with
+//! `Yield`.
 
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use pliant_core::Pose;
@@ -11,7 +11,8 @@ fn rotation(pose: &Pose) -> Rotation3<f64> {
     Rotation3::from_matrix_unchecked(Matrix3::from_fn(|i, j| pose.rotation[i][j]))
 }
 
-/// Returns the rotation vector, computed from the quaternion: for a tiny rotation the trace has no significant digits.
+/// Returns the rotation vector, computed from the quaternion, because the trace of a tiny rotation has no significant
+/// digits.
 fn scaled_axis(rotation: &Rotation3<f64>) -> Vector3<f64> {
     UnitQuaternion::from_rotation_matrix(rotation).scaled_axis()
 }
@@ -24,17 +25,17 @@ fn pose(position: Vector3<f64>, rotation: Rotation3<f64>) -> Pose {
 impl Oracle {
     /// Returns the lowest and the highest deviation [m or rad] that the limit of an axis allows.
     fn allowed(&self, axis: usize) -> (f64, f64) {
-        let given = &self.settings.axes[axis];
-        let most = given.deviation_limit.unwrap_or(f64::INFINITY);
-        match given.compliant_side() {
-            CompliantSide::None => (-most, most),
-            CompliantSide::Plus => (f64::NEG_INFINITY, most),
-            CompliantSide::Minus => (-most, f64::INFINITY),
+        let axis_settings = &self.settings.axes[axis];
+        let max = axis_settings.deviation_limit.unwrap_or(f64::INFINITY);
+        match axis_settings.compliant_side() {
+            CompliantSide::None => (-max, max),
+            CompliantSide::Plus => (f64::NEG_INFINITY, max),
+            CompliantSide::Minus => (-max, f64::INFINITY),
             CompliantSide::Both => (f64::NEG_INFINITY, f64::INFINITY),
         }
     }
 
-    /// Returns the target after the deviation limits, and which rows are at their limit.
+    /// Returns the target after the deviation limits, and true for each row at its limit.
     pub(super) fn reference(&self, tool: &Pose, target: &Pose) -> (Pose, Vec<bool>) {
         let axes = self.axes();
         let before = self.memory.reference;
@@ -43,10 +44,10 @@ impl Oracle {
             let (low, high) = self.allowed(axes[r]);
             e < low || e > high
         };
-        let met: Vec<bool> = (0..axes.len()).map(|r| beyond(r, wanted[r])).collect();
+        let at_limit: Vec<bool> = (0..axes.len()).map(|r| beyond(r, wanted[r])).collect();
         let mut share: f64 = 1.0;
         for r in 0..axes.len() {
-            if met[r] && self.settings.axes[axes[r]].on_deviation_limit == OnDeviationLimit::Wait {
+            if at_limit[r] && self.settings.axes[axes[r]].on_deviation_limit == OnDeviationLimit::Wait {
                 let (low, high) = self.allowed(axes[r]);
                 let nearest = wanted[r].max(low.min(was[r])).min(high.max(was[r]));
                 let way = wanted[r] - was[r];
@@ -75,6 +76,6 @@ impl Oracle {
             let spin = Rotation3::new(turn * Vector3::new(kept[3], kept[4], kept[5]));
             reference = pose(Vector3::from(tool.position) + shift, spin * rotation(tool));
         }
-        (reference, met)
+        (reference, at_limit)
     }
 }

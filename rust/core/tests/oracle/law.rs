@@ -1,4 +1,5 @@
-//! Lines 7 to 9 of the listing in docs/derivations.md, and law `paper`; matrices are inverted as printed.
+//! Laws of the oracle: lines 7 to 9 of the listing in docs/derivations.md, and law `paper`. Matrices are inverted as in
+//! the formulas.
 
 use pliant_core::params::Follow;
 
@@ -6,7 +7,7 @@ use super::shares::Shares;
 use super::{Matrix, Oracle, Vector};
 
 /// Inputs of a law in one step; one entry per row of the task, or per joint.
-pub(super) struct Want<'a> {
+pub(super) struct LawInput<'a> {
     pub(super) oracle: &'a Oracle,
     pub(super) rows: &'a Matrix,
     pub(super) scaled: &'a Matrix,
@@ -14,14 +15,14 @@ pub(super) struct Want<'a> {
     pub(super) sigma: [f64; 2],
     pub(super) softness: &'a Vector,
     pub(super) strength: &'a Vector,
-    pub(super) most: &'a Vector,
+    pub(super) max_strength: &'a Vector,
     pub(super) soft_step: &'a Vector,
     /// Task displacement h Δx, clipped to the limits of each axis [m, rad].
     pub(super) step: &'a Vector,
     pub(super) adapted: &'a Vector,
-    /// Spring of each row [N/m, N·m/rad].
+    /// Stiffness of each row [N/m, N·m/rad].
     pub(super) stiffness: &'a Vector,
-    /// Damper of each row [N·s/m, N·m·s/rad].
+    /// Damping of each row [N·s/m, N·m·s/rad].
     pub(super) viscosity: &'a Vector,
     /// Velocity of the target minus that of the tool [m/s, rad/s].
     pub(super) relative: &'a Vector,
@@ -73,7 +74,7 @@ fn past_limit(sum: &Vector, bound: &Vector) -> bool {
     (0..sum.len()).any(|i| sum[i].abs() > bound[i] * (1.0 + 1e-9))
 }
 
-impl Want<'_> {
+impl LawInput<'_> {
     fn n(&self) -> usize {
         self.rows.ncols()
     }
@@ -96,8 +97,8 @@ impl Want<'_> {
         self.oracle.settings.effective_follow()
     }
 
-    /// Returns the first half of line 8: `(C_RR + diag(C_jj w/(1 − w)) + λ²/k̄ I)⁻¹ s_R` over the rows with w < 1; 0 in
-    /// the other rows.
+    /// Returns the first half of line 8 of the listing: `(C_RR + diag(C_jj w/(1 − w)) + λ²/k̄ I)⁻¹ s_R` for the rows
+    /// with w < 1; 0 for the others.
     fn stiff(&self, s: &Vector) -> Vector {
         let (c, damping) = (self.c(), self.damping());
         let remaining: Vec<usize> = (0..self.k()).filter(|&r| self.softness[r] < 1.0).collect();
@@ -129,8 +130,8 @@ impl Want<'_> {
             }
         } else {
             let s = Vector::from_fn(k, |j, _| {
-                let most = self.strength[j] * c[(j, j)];
-                (1.0 - self.softness[j]) * self.step[j] + self.softness[j] * self.step[j].max(-most).min(most)
+                let max_step = self.strength[j] * c[(j, j)];
+                (1.0 - self.softness[j]) * self.step[j] + self.softness[j] * self.step[j].max(-max_step).min(max_step)
             });
             let w = inverse(&(&c + self.damping())) * s;
             for j in 0..k {
@@ -145,8 +146,8 @@ impl Want<'_> {
         self.exert(&soft, &stiff, null)
     }
 
-    /// Returns the motion of law `impedance`: `F = clip(K ẽ − D v, ±most)` per axis, with ρ(K) at most `max(1, 0.03 s /
-    /// T_e)` and ρ(D) at most `0.007 s² / (T_e + T_f)`.
+    /// Returns the motion of law `impedance`: `F = clip(K ẽ − D v, ±max_strength)` per axis, with ρ(K) at most `max(1,
+    /// 0.03 s / T_e)` and ρ(D) at most `0.007 s² / (T_e + T_f)`.
     pub(super) fn impedance(&self) -> Motion {
         let (settings, kp) = (&self.oracle.settings, self.oracle.kp());
         let within = |gains: &Vector, bound: f64| {
@@ -164,7 +165,7 @@ impl Want<'_> {
         let damped = within(self.viscosity, 0.007 / (late + settings.tracking.velocity_filter)) * self.viscosity;
         let force = Vector::from_fn(self.k(), |r, _| {
             let wanted = derating * self.stiffness[r] * self.adapted[r] + damped[r] * self.relative[r];
-            wanted.max(-self.most[r]).min(self.most[r])
+            wanted.max(-self.max_strength[r]).min(self.max_strength[r])
         });
         let null = if let Some(kappa) = settings.null_space.stiffness {
             (self.shares().projector() * self.gradient * -kappa).component_div(&kp)
@@ -182,16 +183,16 @@ impl Want<'_> {
         let (n, k, kp) = (self.n(), self.k(), self.oracle.kp());
         let settings = &self.oracle.settings;
         let torque: f64 = (0..n).map(|i| kp[i] * null[i].abs()).sum();
-        let most = settings.null_space.max_torque.unwrap_or(if k < n { 2.0 } else { 0.0 });
-        if torque > most {
-            null *= most / torque;
+        let max_torque = settings.null_space.max_torque.unwrap_or(if k < n { 2.0 } else { 0.0 });
+        if torque > max_torque {
+            null *= max_torque / torque;
         }
         null *= self.null_speed_factor(&null);
 
         // Above the ceiling W is reduced, its soft part first, then its stiff part; gravity and feed-forward are not.
         let ceiling = self.oracle.ceiling();
         let (tau_soft, tau_stiff) = (self.rows.transpose() * soft, self.rows.transpose() * stiff);
-        let snapshot = (self.in_goal + &tau_soft + &tau_stiff).zip_map(&ceiling, |torque, most| torque.abs().min(most));
+        let snapshot = (self.in_goal + &tau_soft + &tau_stiff).zip_map(&ceiling, |torque, max| torque.abs().min(max));
         let feed_forward = self.idle + self.loaded.component_mul(&snapshot);
         let base = self.in_goal + &feed_forward + kp.component_mul(&null);
         let (mut f_soft, mut f_stiff) = (1.0, 1.0);
@@ -223,8 +224,8 @@ impl Want<'_> {
         if fastest > settings.null_space.max_speed { settings.null_space.max_speed / fastest } else { 1.0 }
     }
 
-    /// Returns the factors that keep `(null + soft + stiff) / h` within the joint speed limits; the parts are reduced
-    /// in this order.
+    /// Returns the factors on the three parts that keep `(null + soft + stiff) / h` within the joint speed limits. The
+    /// parts are reduced in this order.
     fn slower(&self, null: &Vector, soft: &Vector, stiff: &Vector) -> [f64; 3] {
         let settings = &self.oracle.settings;
         let bound = Vector::from_fn(self.n(), |i, _| {
@@ -247,8 +248,7 @@ impl Want<'_> {
         factors
     }
 
-    /// Returns the motion of law `paper`: `h K_q (J⁺Δx − αN∇g)`, or the inverse without the soft rows under
-    /// `Follow::Free`.
+    /// Returns the motion of law `paper`: `h K_q (J⁺Δx − αN∇g)`; under `Follow::Free` with J⁺ of the stiff rows only.
     pub(super) fn paper(&self) -> Motion {
         let (n, k, kp) = (self.n(), self.k(), self.oracle.kp());
         let settings = &self.oracle.settings;
@@ -258,8 +258,8 @@ impl Want<'_> {
         if settings.paper_options.budget_on_goal {
             for j in 0..k {
                 let reach: f64 = (0..n).map(|i| kp[i] * pinv[(i, j)].abs()).sum();
-                let most = self.most[j] / (h * reach) * h;
-                s[j] = s[j].max(-most).min(most);
+                let budget = self.max_strength[j] / (h * reach) * h;
+                s[j] = s[j].max(-budget).min(budget);
             }
         }
         let task = if self.follow() == Follow::Hold {
@@ -289,9 +289,9 @@ impl Want<'_> {
         }
     }
 
-    /// Returns the motion `all` with locked joints at their `fixed` lead. The other joints take over their part of the
-    /// task, with the damping of a singular pose, within torque ceilings and joint speeds.
-    pub(super) fn taken_over(&self, all: &Motion, locked: &[bool], fixed: &Vector) -> Motion {
+    /// Returns the motion `all` with locked joints at their `fixed` lead. The other joints make the missing task
+    /// motion, with the damping of a singular pose, within torque ceilings and joint speeds.
+    pub(super) fn redistributed(&self, all: &Motion, locked: &[bool], fixed: &Vector) -> Motion {
         let (n, kp, settings) = (self.n(), self.oracle.kp(), &self.oracle.settings);
         let whole = &all.lead + &all.null;
         let of = |on: bool, v: &Vector| Vector::from_fn(n, |i, _| if locked[i] == on { v[i] } else { 0.0 });
@@ -304,7 +304,7 @@ impl Want<'_> {
         let row_lambda2 = self.row_scale() * lambda2;
         let free = self.follow() == Follow::Free;
         let none = Vector::zeros(self.k());
-        let rest = Want {
+        let rest = LawInput {
             rows: &rows,
             row_lambda2: &row_lambda2,
             softness: if free { self.softness } else { &none },
@@ -342,7 +342,7 @@ impl Want<'_> {
         }
     }
 
-    /// Returns the factor on λ² of each row: l² for translations, but 1 where λ is fixed as printed.
+    /// Returns the factor on λ² of each row: length² for translations, but 1 if λ is fixed as in the paper.
     fn row_scale(&self) -> Vector {
         let oracle = self.oracle;
         let axes = oracle.axes();

@@ -6,11 +6,11 @@ use super::{Oracle, Vector};
 
 #[derive(Clone)]
 pub(crate) struct Memory {
-    pub(super) held: Vector,
+    pub(super) backlash_output: Vector,
     pub(super) velocity: Vector,
     pub(super) gamma: f64,
     pub(super) goal: Vector,
-    /// Part of the goal that holds the weight [rad].
+    /// Part of the goals that carries gravity [rad].
     pub(super) weight: Vector,
     pub(super) limit: Option<Vector>,
     pub(super) rest: Vector,
@@ -23,7 +23,7 @@ impl Memory {
     pub(super) fn new(n: usize) -> Self {
         let zero = Vector::zeros(n);
         Self {
-            held: zero.clone(),
+            backlash_output: zero.clone(),
             velocity: zero.clone(),
             gamma: 1.0,
             goal: zero.clone(),
@@ -39,27 +39,28 @@ impl Oracle {
     pub(crate) fn reset(&mut self, q: &[f64]) {
         let reference = self.model.forward_kinematics(q).unwrap();
         let q = Vector::from_column_slice(q);
-        self.memory = Memory { reference, held: q.clone(), goal: q.clone(), rest: q, ..Memory::new(self.n()) };
+        self.memory =
+            Memory { reference, backlash_output: q.clone(), goal: q.clone(), rest: q, ..Memory::new(self.n()) };
     }
 
-    /// Filters the velocity: differences of positions with a hysteresis of one encoder count on each side, then a
-    /// first-order low-pass with T_f.
+    /// Filters the velocity: backlash of one encoder count in each direction, difference quotient, first-order low-pass
+    /// with time constant T_f.
     pub(super) fn filter(&mut self, q: &Vector, input: &StepInput<'_>, dt: f64) {
         let memory = &mut self.memory;
         if let Some(dq) = input.dq {
-            memory.held.clone_from(q);
+            memory.backlash_output.clone_from(q);
             memory.velocity = Vector::from_column_slice(dq);
             return;
         }
         for i in 0..q.len() {
             let count = self.servos.as_ref().map_or(0.0, |s| s.encoder_step[i]);
-            let before = memory.held[i];
+            let before = memory.backlash_output[i];
             if q[i] - before > count {
-                memory.held[i] = q[i] - count;
+                memory.backlash_output[i] = q[i] - count;
             } else if before - q[i] > count {
-                memory.held[i] = q[i] + count;
+                memory.backlash_output[i] = q[i] + count;
             }
-            let rate = (memory.held[i] - before) / dt;
+            let rate = (memory.backlash_output[i] - before) / dt;
             memory.velocity[i] += dt / (self.settings.tracking.velocity_filter + dt) * (rate - memory.velocity[i]);
         }
     }

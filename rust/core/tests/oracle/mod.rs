@@ -1,8 +1,8 @@
-//! Oracle: a slow, readable control step, written from lines 1 to 12 of the listing in docs/derivations.md and the
-//! equations of law `paper`.
+//! Oracle: reference implementation of the control step, a direct transcription of lines 1 to 12 of the listing in
+//! docs/derivations.md and of the paper's equations.
 //!
-//! It shares with the tested step only pose, Jacobian and gravity of the model. The estimate of σ, which may be off by
-//! a percent, is passed in. It has no tool speed limit.
+//! It shares only pose, Jacobian and gravity of the model with the tested step. The estimated singular values of the
+//! tested step, which may be off by a percent, are an input. It has no tool speed limit.
 
 use std::sync::Arc;
 
@@ -21,7 +21,7 @@ use memory::Memory;
 pub(crate) type Vector = DVector<f64>;
 pub(crate) type Matrix = DMatrix<f64>;
 
-/// Slow controller with its state between ticks.
+/// Reference implementation of the controller, with its state between ticks.
 #[derive(Clone)]
 pub(crate) struct Oracle {
     pub(crate) model: Arc<Model>,
@@ -34,7 +34,7 @@ pub(crate) struct Oracle {
     pub(crate) memory: Memory,
 }
 
-/// All intermediate values of one tick; one entry per row of the task, or per joint.
+/// Intermediate values of one tick; vectors have one entry per task axis or per joint.
 #[derive(Clone)]
 pub(crate) struct Tick {
     pub(crate) q: Vector,
@@ -44,7 +44,7 @@ pub(crate) struct Tick {
     pub(crate) adapted: Vector,
     pub(crate) softness: Vector,
     pub(crate) compliance: Vector,
-    pub(crate) most: Vector,
+    pub(crate) max_strength: Vector,
     pub(crate) dx: Vector,
     pub(crate) gradient: Vector,
     pub(crate) gravity: Vector,
@@ -57,10 +57,10 @@ pub(crate) struct Tick {
     pub(crate) lambda: f64,
     pub(crate) gamma: f64,
     pub(crate) locked: Vec<bool>,
-    /// True if the lead of a force points out of a position limit that the joint has passed, and is faded.
+    /// True if a joint is beyond a position limit and a lead that would push it farther out is faded.
     pub(crate) faded: bool,
     /// True for rows at their deviation limit.
-    pub(crate) met: Vec<bool>,
+    pub(crate) at_limit: Vec<bool>,
     pub(crate) reference: Pose,
     pub(crate) goal: Vector,
     pub(crate) limit: Vector,
@@ -75,7 +75,7 @@ struct Row {
     w: f64,
     c: f64,
     strength: f64,
-    most: f64,
+    max_strength: f64,
     stiffness: f64,
     viscosity: f64,
 }
@@ -96,8 +96,9 @@ impl Oracle {
         }
     }
 
-    /// Runs one tick; `sigma` holds the smallest and largest singular value that the tested step estimates.
-    #[allow(clippy::too_many_lines, reason = "the printed lines in their order, in one place")]
+    /// Runs one tick; `sigma` is the smallest and the largest singular value as estimated by the tested step. Numbers
+    /// in comments are lines of the listing.
+    #[allow(clippy::too_many_lines, reason = "the lines of the listing in their order, in one place")]
     pub(crate) fn step(&mut self, q: &[f64], target: &Pose, input: &StepInput<'_>, sigma: [f64; 2]) -> Tick {
         let (n, settings) = (self.n(), self.settings.clone());
         let dt = input.dt.unwrap_or(1.0 / settings.rate);
@@ -116,19 +117,20 @@ impl Oracle {
         // 2
         let tool = self.model.forward_kinematics(q.as_slice()).unwrap();
         let rows = self.rows(&q);
-        let (reference, met) = self.reference(&tool, target);
+        let (reference, at_limit) = self.reference(&tool, target);
         let e = self.deviation(&tool, &reference);
-        // A reference that a deviation limit holds back does not have the target's velocity.
-        let twist = input.twist.copied().filter(|_| !met.contains(&true)).unwrap_or_default();
+        // At a deviation limit, the velocity of the reference is not that of the target.
+        let twist = input.twist.copied().filter(|_| !at_limit.contains(&true)).unwrap_or_default();
         let twist = self.in_task(
             &tool,
             &Vector3::new(twist[0], twist[1], twist[2]),
             &Vector3::new(twist[3], twist[4], twist[5]),
         );
         // 3, 4, 5
-        let wishes: Vec<Row> = (0..k).map(|r| self.row(axes[r], e[r])).collect();
-        let of = |f: fn(&Row) -> f64| Vector::from_iterator(k, wishes.iter().map(f));
-        let (adapted, softness, strength, most) = (of(|r| r.adapted), of(|r| r.w), of(|r| r.strength), of(|r| r.most));
+        let axis_values: Vec<Row> = (0..k).map(|r| self.row(axes[r], e[r])).collect();
+        let of = |f: fn(&Row) -> f64| Vector::from_iterator(k, axis_values.iter().map(f));
+        let (adapted, softness, strength, max_strength) =
+            (of(|r| r.adapted), of(|r| r.w), of(|r| r.strength), of(|r| r.max_strength));
         let (stiffness, viscosity) = (of(|r| r.stiffness), of(|r| r.viscosity));
         let relative = &twist - &rows * &velocity;
         // 6
@@ -150,7 +152,7 @@ impl Oracle {
         // 10
         let gravity = self.model.gravity(q.as_slice()).unwrap();
         let (friction, resistance) = (self.joint(|s| &s.friction, 0.0), self.resistance());
-        // The additional friction at rest fades with speed as 1/(1 + x + x²).
+        // The Stribeck friction fades with the speed as 1/(1 + x + x²).
         let fading = |i: usize| {
             let x = velocity[i].abs() / self.joint(|s| &s.stribeck_speed, 1.0)[i];
             1.0 / (1.0 + x + x * x)
@@ -179,11 +181,11 @@ impl Oracle {
         } else {
             Vector::zeros(n)
         };
-        let gradient = self.gradient(&q, input, &wishes);
+        let gradient = self.gradient(&q, input, &axis_values);
 
-        // 8, 9, 11: first with all joints; then each joint that meets a position limit is locked, and the others take
-        // over its part.
-        let want = law::Want {
+        // 8, 9, 11: first with all joints. Then each joint at a position limit is locked, and the others make its
+        // motion.
+        let law_input = law::LawInput {
             oracle: self,
             rows: &rows,
             scaled: &self.scaled(&rows),
@@ -191,7 +193,7 @@ impl Oracle {
             sigma,
             softness: &softness,
             strength: &strength,
-            most: &most,
+            max_strength: &max_strength,
             soft_step: &soft_step,
             step: &step,
             adapted: &adapted,
@@ -203,8 +205,9 @@ impl Oracle {
             idle: &idle,
             loaded: &loaded,
         };
-        // The lead of a force may point out of the position limits. If q itself is beyond one, the lead fades with a
-        // slope of 1/(0.02 rad) or what the delay allows: 0.03 s / T_e, minus the 1 of the servo itself.
+        // A lead that exerts a force may exceed the position limits. If q itself is beyond a limit, the lead fades with
+        // a slope of lead / 0.02 rad, at most what the delay allows: 0.03 s / T_e minus 1, the slope of the servo
+        // itself.
         let late = self.delay + 0.5 / settings.rate;
         let slope = if self.well_damped() { 2.0 } else { (0.03 / late).clamp(1.0, 3.0) - 1.0 };
         let fade = |lead: f64, i: usize| {
@@ -216,9 +219,9 @@ impl Oracle {
             }
         };
         let mut all_joints = match settings.law {
-            Law::Cap => want.cap(),
-            Law::Impedance => want.impedance(),
-            Law::Paper => want.paper(),
+            Law::Cap => law_input.cap(),
+            Law::Impedance => law_input.impedance(),
+            Law::Paper => law_input.paper(),
         };
         let (lead, resisted) = (all_joints.force.clone(), all_joints.feed_forward.component_div(&kp));
         all_joints.force = Vector::from_fn(n, |i, _| fade(lead[i], i));
@@ -239,7 +242,7 @@ impl Oracle {
             for i in more {
                 locked[i] = true;
             }
-            // A locked joint is held at its limit.
+            // The goal of a locked joint is at its limit.
             let fixed = Vector::from_fn(n, |i, _| {
                 let at_limit = if without_lead[i] + all_joints.lead[i] + all_joints.null[i] > self.model.upper()[i]
                     || goal[i] >= self.model.upper()[i]
@@ -250,7 +253,7 @@ impl Oracle {
                 };
                 if locked[i] { at_limit - without_lead[i] } else { 0.0 }
             });
-            motion = want.taken_over(&all_joints, &locked, &fixed);
+            motion = law_input.redistributed(&all_joints, &locked, &fixed);
         };
 
         // 12
@@ -261,19 +264,20 @@ impl Oracle {
         let responsibility = every.responsibility(&(&step / h), &gradient);
         let null_torque = settings.null_space.max_torque.unwrap_or(if k < n { 2.0 } else { 0.0 });
         let wanted = if cap && settings.paper_options.limits == LimitRule::Demand {
-            let bounded = Vector::from_fn(k, |r, _| clip(motion.wrench[r], most[r]));
-            // Without the part that a position limit cuts off.
+            let bounded = Vector::from_fn(k, |r, _| clip(motion.wrench[r], max_strength[r]));
+            // Torque of the bounded wrench, plus that of the leads without the part that exerts the wrench.
             let (pulled, whole) = (rows.transpose() * bounded, rows.transpose() * &motion.wrench);
             let task = pulled + kp.component_mul(&(&motion.lead + &motion.force)) - whole;
-            let asked = &in_limit + task + &feed_forward + kp.component_mul(&(&motion.null + &q - &measured));
-            asked.zip_map(&in_limit, |a, g| a.abs().max(settings.paper_options.gravity_scale * g.abs())) + self.margin()
+            let demand = &in_limit + task + &feed_forward + kp.component_mul(&(&motion.null + &q - &measured));
+            demand.zip_map(&in_limit, |a, g| a.abs().max(settings.paper_options.gravity_scale * g.abs()))
+                + self.margin()
         } else if cap {
             in_limit.abs() * settings.paper_options.gravity_scale
-                + rows.abs().transpose() * &most
+                + rows.abs().transpose() * &max_strength
                 + activation.column(k) * null_torque
                 + feed_forward.abs()
         } else {
-            let mut budget = most.clone().resize_vertically(k + 1, 0.0);
+            let mut budget = max_strength.clone().resize_vertically(k + 1, 0.0);
             budget[k] = null_torque;
             &activation * budget + in_limit.abs() * settings.paper_options.gravity_scale
         };
@@ -294,15 +298,15 @@ impl Oracle {
         let mut goal = goal;
         for i in 0..n {
             if !cap {
-                let most = settings.paper_options.lead_limit.unwrap_or(if self.servos.is_some() {
+                let max_lead = settings.paper_options.lead_limit.unwrap_or(if self.servos.is_some() {
                     (limit[i] + self.margin()[i]) / kp[i]
                 } else {
                     0.3
                 });
                 let lead = motion.lead[i] + motion.null[i];
-                goal[i] = goal[i] - lead + clip(lead, most);
+                goal[i] = goal[i] - lead + clip(lead, max_lead);
             }
-            // The goal exceeds a limit by at most the lead of the full torque.
+            // The goal exceeds a position limit by at most the lead at full torque.
             let out = if self.servos.is_some() { ceiling[i] / kp[i] } else { 0.0 };
             let (lower, upper) = (self.model.lower()[i] - out, self.model.upper()[i] + out);
             goal[i] = goal[i].max(lower).min(upper);
@@ -337,7 +341,7 @@ impl Oracle {
             rows,
             adapted,
             softness,
-            most,
+            max_strength,
             gradient,
             gravity,
             feed_forward,
@@ -345,7 +349,7 @@ impl Oracle {
             gamma,
             locked,
             faded,
-            met,
+            at_limit,
             reference,
             goal,
             limit,

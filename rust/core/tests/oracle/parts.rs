@@ -1,4 +1,4 @@
-//! Properties of arm, servos and axes that the oracle computes before it solves for a motion.
+//! Properties of arm, servos and axes that the oracle computes before a law.
 
 use nalgebra::{Matrix3, Rotation3, Vector3};
 use pliant_core::params::{CompliantSide, Frame, Gain, Law, Profile};
@@ -16,8 +16,8 @@ impl Oracle {
         (0..6).filter(|&axis| self.settings.task.axes[axis]).collect()
     }
 
-    /// Returns the length [m] that weighs as much as one radian: reach / 0.71, or the task's length with more axes than
-    /// joints.
+    /// Returns the length [m] by which translations are divided: reach / 0.71, or with more axes than joints the task's
+    /// length.
     pub(super) fn length(&self) -> f64 {
         if self.axes().len() > self.n() { self.settings.task.length.unwrap() } else { self.model.reach() / 0.71 }
     }
@@ -30,8 +30,8 @@ impl Oracle {
         self.joint(|s| &s.kp, 1.0)
     }
 
-    /// Returns the viscous damping of each joint: of gears and of the servo's own loop, and for a PWM limit the
-    /// back-EMF τ_stall / w₀.
+    /// Returns the viscous damping of each joint: of the gears, the derivative gain, and with a PWM limit the back-EMF
+    /// τ_stall / w₀.
     pub(super) fn resistance(&self) -> Vector {
         let back_emf = match self.servos.as_ref() {
             Some(s) if s.limit_type == LimitType::Pwm => self
@@ -92,8 +92,8 @@ impl Oracle {
         )
     }
 
-    /// Returns the deviation (1), (2): position difference and rotation vector of `R_d Rᵀ`, in the task frame, for the
-    /// task's axes.
+    /// Returns the deviation along the task axes: position difference and rotation vector of `R_d Rᵀ`, in the task
+    /// frame.
     pub(crate) fn deviation(&self, tool: &Pose, target: &Pose) -> Vector {
         let of = |r: &[[f64; 3]; 3]| Rotation3::from_matrix_unchecked(Matrix3::from_fn(|i, j| r[i][j]));
         let turn = (of(&target.rotation) * of(&tool.rotation).inverse()).scaled_axis();
@@ -108,12 +108,12 @@ impl Oracle {
         Vector::from_fn(axes.len(), |r, _| if axes[r] < 3 { linear[axes[r]] } else { angular[axes[r] - 3] })
     }
 
-    /// Computes lines 3 to 5 of one axis with deviation `e`.
+    /// Computes lines 3 to 5 of the listing for one axis with deviation `e`.
     pub(super) fn row(&self, axis: usize, e: f64) -> Row {
-        let (given, paper) = (&self.settings.axes[axis], self.settings.law == Law::Paper);
+        let (axis_settings, paper) = (&self.settings.axes[axis], self.settings.law == Law::Paper);
         let translation = axis < 3;
-        let soft_until = given.soft_until.unwrap_or(if translation { 0.01 } else { 0.04 });
-        let firm_from = given.firm_from.unwrap_or(if translation { 0.1 } else { 0.4 });
+        let soft_until = axis_settings.soft_until.unwrap_or(if translation { 0.01 } else { 0.04 });
+        let firm_from = axis_settings.firm_from.unwrap_or(if translation { 0.1 } else { 0.4 });
         let band = soft_until * self.settings.paper_options.direction_band.unwrap_or(if paper { 0.0 } else { 0.1 });
         // Pushed toward +, the tool is beyond its target: e < 0.
         let toward_plus = if e <= -band && (band > 0.0 || e < 0.0) {
@@ -124,13 +124,13 @@ impl Oracle {
             0.5 - 0.5 * e / band
         };
         let mix = |pair: [f64; 2]| pair[0] * (1.0 - toward_plus) + pair[1] * toward_plus;
-        let w = match given.compliant_side() {
+        let w = match axis_settings.compliant_side() {
             CompliantSide::Both => 1.0,
             CompliantSide::None => 0.0,
             CompliantSide::Plus => toward_plus,
             CompliantSide::Minus => 1.0 - toward_plus,
         };
-        let adapted = e - given.adaptation * w * e;
+        let adapted = e - axis_settings.adaptation * w * e;
         let seen = if self.settings.paper_options.raw_deviation { e.abs() } else { adapted.abs() };
         let c = if seen <= soft_until {
             1.0
@@ -139,8 +139,8 @@ impl Oracle {
         } else {
             1.0 - (seen - soft_until) / (firm_from - soft_until)
         };
-        let (soft, firm) = (mix(given.soft.unwrap()), mix(given.firm.unwrap()));
-        let strength = match given.profile {
+        let (soft, firm) = (mix(axis_settings.soft.unwrap()), mix(axis_settings.firm.unwrap()));
+        let strength = match axis_settings.profile {
             Profile::Hardening => c * soft + (1.0 - c) * firm,
             Profile::Constant => soft,
             Profile::Softening => c * firm + (1.0 - c) * soft,
@@ -151,17 +151,17 @@ impl Oracle {
             w,
             c,
             strength,
-            most: w * strength + (1.0 - w) * given.hold.unwrap(),
-            stiffness: given.stiffness.map_or(0.0, mix),
-            viscosity: given.damping.map_or(0.0, mix),
+            max_strength: w * strength + (1.0 - w) * axis_settings.hold.unwrap(),
+            stiffness: axis_settings.stiffness.map_or(0.0, mix),
+            viscosity: axis_settings.damping.map_or(0.0, mix),
         }
     }
 
     /// Returns the limit of the commanded task velocity of an axis with softness `w`, between those of a stiff and of a
     /// soft axis.
     pub(super) fn velocity_limit(&self, axis: usize, w: f64) -> f64 {
-        let given = &self.settings.axes[axis];
-        let stiff = given.max_velocity.unwrap_or(if axis < 3 { 0.4 } else { 2.0 });
+        let axis_settings = &self.settings.axes[axis];
+        let stiff = axis_settings.max_velocity.unwrap_or(if axis < 3 { 0.4 } else { 2.0 });
         let soft = self.soft_velocity_limit(axis);
         match w {
             w if w <= 0.0 => stiff,
@@ -187,36 +187,38 @@ impl Oracle {
         }
     }
 
-    /// Returns the gradient of line 9: posture, joint limits and the caller's cost (manipulability has its own test).
-    pub(super) fn gradient(&self, q: &Vector, input: &StepInput<'_>, wishes: &[Row]) -> Vector {
+    /// Returns the gradient in line 9 of the listing: posture, joint limits and the caller's cost; without
+    /// manipulability.
+    pub(super) fn gradient(&self, q: &Vector, input: &StepInput<'_>, axis_values: &[Row]) -> Vector {
         let n = self.n();
         let rest = match (input.posture, &self.settings.null_space.posture) {
             (Some(p), _) => Vector::from_column_slice(p),
             (None, Some(p)) => Vector::from_column_slice(p),
             (None, None) => self.memory.rest.clone(),
         };
-        // Within w = 0.05 rad or 5 % of the range from a position limit, the posture fades, to 0 at half of w. If the
-        // rest posture itself is nearer to the limit, it fades from there, with its own distance (at least 0.4 w) in
-        // place of w.
+        // Closer to a position limit than w (0.05 rad or 5 % of the range), the posture task fades, to 0 at w / 2. If
+        // the rest posture is closer to the limit than w, the fade starts there, with that distance (at least 0.4 w) as
+        // w.
         let mut share = 1.0_f64;
         if self.settings.law != Law::Paper && self.settings.task.axes.iter().filter(|&&on| on).count() < n {
             for i in 0..n {
                 let (lower, upper) = (self.model.lower()[i], self.model.upper()[i]);
-                let most = (0.05 * (upper - lower)).min(0.05);
+                let clearance = (0.05 * (upper - lower)).min(0.05);
                 for (room, at_rest) in [(q[i] - lower, rest[i] - lower), (upper - q[i], upper - rest[i])] {
-                    let width = at_rest.max(0.4 * most).min(most);
+                    let width = at_rest.max(0.4 * clearance).min(clearance);
                     share = share.min(1.0 - 2.0 * (at_rest.min(width) - room) / width);
                 }
             }
         }
-        // It fades only as far as a push is detected: on a yielding axis, from a deviation of d⁻ (at least 0.1 d⁺) to
-        // twice that.
-        let felt = wishes.iter().zip(self.axes()).map(|(row, axis)| {
-            let (given, [low, high]) = (&self.settings.axes[axis], if axis < 3 { [0.01, 0.1] } else { [0.04, 0.4] });
-            let near = given.soft_until.unwrap_or(low).max(0.1 * given.firm_from.unwrap_or(high));
+        // The fade is scaled by the push on a yielding axis: 0 up to a deviation of d⁻ (at least 0.1 d⁺), 1 from twice
+        // that on.
+        let push_fractions = axis_values.iter().zip(self.axes()).map(|(row, axis)| {
+            let (axis_settings, [low, high]) =
+                (&self.settings.axes[axis], if axis < 3 { [0.01, 0.1] } else { [0.04, 0.4] });
+            let near = axis_settings.soft_until.unwrap_or(low).max(0.1 * axis_settings.firm_from.unwrap_or(high));
             row.w * (row.e.abs() / near - 1.0).clamp(0.0, 1.0)
         });
-        let share = 1.0 - (1.0 - share.max(0.0)) * felt.fold(0.0, f64::max);
+        let share = 1.0 - (1.0 - share.max(0.0)) * push_fractions.fold(0.0, f64::max);
         let mut out = Vector::zeros(n);
         for i in 0..n {
             let weight = share * self.settings.paper_options.posture_weights.as_ref().map_or(1.0, |w| w[i]);

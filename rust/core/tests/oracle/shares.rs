@@ -22,7 +22,7 @@ impl Shares<'_> {
         diagonal(&Vector::from_fn(n, |i, _| weights.map_or(1.0, |w| 1.0 / w[i])))
     }
 
-    /// Returns the pseudo-inverse (3): `J⁺ = D Jᵀ (J D Jᵀ + λ²)⁻¹`.
+    /// Returns the pseudo-inverse `J⁺ = D Jᵀ (J D Jᵀ + λ²)⁻¹`, equation (3) of the paper.
     pub(super) fn pseudo_inverse(&self) -> Matrix {
         let (j, d) = (self.rows, self.joint_weight());
         &d * j.transpose() * inverse(&(j * &d * j.transpose() + diagonal(self.row_lambda2)))
@@ -46,7 +46,7 @@ impl Shares<'_> {
         }
     }
 
-    /// Returns the responsibility matrix of equations (6) and (7): the columns `|J⁺ diag(Δx)|`, then the column `|α N∇g|`.
+    /// Returns the responsibility: the columns `|J⁺ diag(Δx)|`, then `|α N∇g|`; equations (6), (7) of the paper.
     pub(super) fn responsibility(&self, dx: &Vector, gradient: &Vector) -> Matrix {
         let settings = &self.oracle.settings;
         let alpha = settings.null_space.gain.unwrap_or_else(|| largest(settings));
@@ -58,7 +58,7 @@ impl Shares<'_> {
         out
     }
 
-    /// Returns the activation (10), in which the magnitude of Δx cancels; the last column is the null space.
+    /// Returns the activation, equation (10) of the paper, in which Δx cancels; the last column is the null space.
     pub(super) fn activation(&self, gradient: &Vector) -> Matrix {
         let (k, n) = self.rows.shape();
         let pinv = self.pseudo_inverse().abs();

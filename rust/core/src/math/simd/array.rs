@@ -79,13 +79,13 @@ impl RealOps for ArrayF64x8 {
         min(value, bound);
         copy_sign(size, sign);
         select_lt(a, b, then, otherwise);
-        exp2_int(sum);
+        exp2_int(shifted);
     }
 
     #[inline(always)]
-    fn rotate_quadrant(turns: Self, mut s: Self, mut c: Self) -> (Self, Self) {
+    fn rotate_quadrant(shifted: Self, mut s: Self, mut c: Self) -> (Self, Self) {
         for i in 0..LANES {
-            (s.0[i], c.0[i]) = rotate_quadrant(turns.0[i], s.0[i], c.0[i]);
+            (s.0[i], c.0[i]) = rotate_quadrant(shifted.0[i], s.0[i], c.0[i]);
         }
         (s, c)
     }

@@ -41,7 +41,7 @@ pub(crate) trait Kernel {
     fn run<M: Isa>(self) -> Self::Output;
 }
 
-/// Instruction set that every processor of the architecture has.
+/// Number types of the instruction set that every processor of the architecture has.
 pub(crate) struct Baseline;
 
 impl Isa for Baseline {
@@ -67,8 +67,9 @@ impl Isa for Avx512x8 {
 
 /// An instruction set that this processor has.
 ///
-/// Results differ between sets by rounding: by less than 1e-11, relative, at λ ≥ 0.02, σ ≥ 0.01 σ_max and periods of
-/// 1 ms or more, unless rounding decides between two cases of law `paper`. On one set they are bit-identical.
+/// Results are bit-identical within a set and differ between sets by rounding: by less than 1e-11, relative, for a
+/// damping λ ≥ 0.02, singular values σ ≥ 0.01 σ_max and periods of at least 1 ms, unless rounding decides between two
+/// cases of law `paper`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SimdLevel(Set);
 
@@ -134,8 +135,8 @@ impl SimdLevel {
 
     /// Runs code for one configuration with this instruction set, but at most with AVX2.
     ///
-    /// Vectors of seven or eight numbers gain nothing from wider registers (kinematics even become a tenth slower), and
-    /// a third copy of the control step would add a third to the size of the Python wheel.
+    /// Vectors of seven or eight numbers are not faster in wider registers (kinematics are a tenth slower), and a third
+    /// copy of the control step would increase the size of the Python wheel by a third.
     #[inline]
     pub(crate) fn dispatch_narrow<K: Kernel>(self, kernel: K) -> K::Output {
         match self.0 {
@@ -168,8 +169,8 @@ impl fmt::Display for SimdLevel {
     }
 }
 
-/// Runs code with the baseline instruction set. Not inlined, like `avx2` and `avx512`: the caller may be optimized for
-/// size.
+/// Runs code with the baseline instruction set. Like `avx2` and `avx512` it is not inlined, because its caller may be
+/// optimized for size.
 #[inline(never)]
 fn baseline<K: Kernel>(kernel: K) -> K::Output {
     kernel.run::<Baseline>()

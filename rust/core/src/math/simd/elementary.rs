@@ -1,4 +1,4 @@
-//! Elementary functions without calls of the system's library: vectorizable over joints, and identical on every system.
+//! Elementary functions without calls of the system's library: vectorizable, with identical results on every system.
 #![forbid(unsafe_code)]
 
 use super::{ROUND, RealOps};
@@ -6,8 +6,8 @@ use super::{ROUND, RealOps};
 /// tan(π/8): boundary between the two expansion points of the arctangent series.
 const TAN_EIGHTH: f64 = 0.414_213_562_373_095_05;
 
-/// Coefficients of a polynomial in u for `(atan √u / √u − 1) / u`, lowest power first: the best uniform fit up to u =
-/// tan²(π/8), with an error of at most 1.2e-18.
+/// Coefficients, lowest power first, of the minimax polynomial in u for `(atan √u / √u − 1) / u` up to u = tan²(π/8);
+/// its error is at most 1.2e-18.
 const ARC: [f64; 12] = [
     -0.333_333_333_333_333_3,
     0.199_999_999_999_998_04,
@@ -39,9 +39,8 @@ pub(crate) fn atan2_first_quadrant<A: RealOps>(y: A::Real, x: A::Real) -> A::Rea
     A::select_lt(x, y, c(std::f64::consts::FRAC_PI_2) - angle, angle)
 }
 
-/// Returns `atan(y/x) / y`, given `squared = y²`, for x > 0 and y at most x tan(π/8).
-///
-/// It needs neither a square root nor a division by y.
+/// Returns `atan(y/x) / y`, given `squared = y²`, for x > 0 and y at most x tan(π/8). Uses no square root, and no
+/// division by y.
 #[inline(always)]
 pub(crate) fn atan_over_y<A: RealOps>(squared: A::Real, x: A::Real) -> A::Real {
     let per_x = A::splat(1.0) / x;
@@ -73,11 +72,11 @@ fn arc_series<A: RealOps>(u: A::Real) -> A::Real {
 pub(crate) fn tanh<A: RealOps>(x: A::Real) -> A::Real {
     const LN_2: [f64; 2] = [6.931_471_803_691_238e-1, 1.908_214_929_270_587_7e-10];
     let c = A::splat;
-    // Beyond this bound tanh is ±1 up to rounding.
+    // For 2 |x| above 40, tanh is ±1 up to rounding.
     let y = A::max(c(-2.0) * A::abs(x), c(-40.0));
-    let sum = A::fma(y, c(std::f64::consts::LOG2_E), c(ROUND));
-    let halvings = sum - c(ROUND);
-    let r = A::fnma(halvings, c(LN_2[1]), A::fnma(halvings, c(LN_2[0]), y));
+    let shifted = A::fma(y, c(std::f64::consts::LOG2_E), c(ROUND));
+    let exponent = shifted - c(ROUND);
+    let r = A::fnma(exponent, c(LN_2[1]), A::fnma(exponent, c(LN_2[0]), y));
     let r2 = r * r;
     let r4 = r2 * r2;
     // Taylor series of the exponential function: the first omitted term is below 1e-17.
@@ -90,7 +89,7 @@ pub(crate) fn tanh<A: RealOps>(x: A::Real) -> A::Real {
     );
     let top = A::fma(r, c(1.0 / 6_227_020_800.0), c(1.0 / 479_001_600.0));
     let fraction = A::fma(r4, A::fma(r4, A::fma(r4, top, high), middle), low);
-    let e = fraction * A::exp2_int(sum);
+    let e = fraction * A::exp2_int(shifted);
     A::copy_sign((c(1.0) - e) / (c(1.0) + e), x)
 }
 

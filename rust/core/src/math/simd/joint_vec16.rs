@@ -1,5 +1,5 @@
-//! Vector of one number per joint, padded to 16, for the baseline instruction set: used by code that has no version per
-//! instruction set.
+//! Vector of one number per joint, padded to 16, with the baseline instruction set only; for code that is compiled
+//! once.
 #![forbid(unsafe_code)]
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
@@ -12,7 +12,7 @@ use crate::{JointVec, MAX_JOINTS};
 /// One number per joint, padded to 16: for arms with more than [`LANES`](super::LANES) joints and for code that runs
 /// rarely.
 ///
-/// Each operation is a call: inlined, the step of a large arm alone took a sixth of the size of the Python wheel.
+/// Each operation is a call. Inlined, the control step of a large arm took a sixth of the size of the Python wheel.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct JointVec16(JointVec, #[expect(dead_code, reason = "a larger value is copied by a call")] u64);
 
@@ -91,12 +91,12 @@ impl RealOps for JointVec16 {
         min(value, bound);
         copy_sign(size, sign);
         select_lt(a, b, then, otherwise);
-        exp2_int(sum);
+        exp2_int(shifted);
     }
 
-    fn rotate_quadrant(turns: Self, mut s: Self, mut c: Self) -> (Self, Self) {
+    fn rotate_quadrant(shifted: Self, mut s: Self, mut c: Self) -> (Self, Self) {
         for i in 0..MAX_JOINTS {
-            (s.0[i], c.0[i]) = rotate_quadrant(turns.0[i], s.0[i], c.0[i]);
+            (s.0[i], c.0[i]) = rotate_quadrant(shifted.0[i], s.0[i], c.0[i]);
         }
         (s, c)
     }
@@ -165,7 +165,7 @@ impl JointVector for JointVec16 {
         #[inline(never)]
         fn sum(of: &JointVec16) -> f64 {
             let mut sums = of.0;
-            // Sum by halves, an order that can be vectorized.
+            // Sum by halves: this order can be vectorized.
             for half in [8, 4, 2, 1] {
                 for i in 0..half {
                     sums[i] += sums[i + half];

@@ -44,14 +44,14 @@ pub(crate) use vectors::JointVector;
 #[cfg(target_arch = "x86_64")]
 pub(crate) use x86::sse2::{Sse2x2, Sse2x8};
 #[cfg(target_arch = "x86_64")]
-// Private: their methods are safe functions with instructions that only `SimdLevel` has checked for.
+// Not re-exported: their methods are safe functions, but use instructions whose presence only `SimdLevel` has checked.
 use x86::{
     avx2::{Avx2x4, Avx2x8},
     avx512::Avx512x8,
 };
 
-/// Positions [rad, m] and velocities below this are flushed to 0: a decaying filter would reach subnormal numbers and
-/// stay there, and some processors need a hundred cycles per product with them.
+/// Positions [rad, m] and velocities below this are set to 0. A decaying filter would otherwise reach subnormal numbers
+/// and stay there; on some processors, a product with them takes a hundred cycles.
 pub(crate) const NEGLIGIBLE: f64 = 1e-30;
 
 /// Number of values in a [`F64x8`], and maximum number of lanes of a register.
@@ -79,16 +79,16 @@ pub(crate) trait RealOps: Copy + Debug + 'static {
     /// The number type: `f64`, or a vector with one value per joint, per axis or per configuration.
     type Real: Number;
 
-    /// True if a number holds several values, of joints, axes or configurations.
+    /// True if a number has several lanes: of joints, axes or configurations.
     const WIDE: bool;
 
     /// Copies a value to every lane.
     fn splat(value: f64) -> Self::Real;
 
-    /// Returns `a b + c`, fused if the instruction set can.
+    /// Returns `a b + c`, with a fused multiply-add if the instruction set has it.
     fn fma(a: Self::Real, b: Self::Real, c: Self::Real) -> Self::Real;
 
-    /// Returns `c − a b`, fused if the instruction set can.
+    /// Returns `c − a b`, with a fused multiply-add if the instruction set has it.
     fn fnma(a: Self::Real, b: Self::Real, c: Self::Real) -> Self::Real;
 
     /// Returns `√value`.
@@ -103,7 +103,8 @@ pub(crate) trait RealOps: Copy + Debug + 'static {
     /// Returns the smaller of two numbers; NaN if `value` is NaN.
     fn min(value: Self::Real, bound: Self::Real) -> Self::Real;
 
-    /// Returns `value` clamped to ± `bound`; NaN if `value` is NaN, and no panic if `bound` is NaN.
+    /// Returns `value` clamped to ± `bound`; NaN if `value` is NaN. Unlike `f64::clamp`, does not panic for a NaN
+    /// bound.
     #[inline(always)]
     fn clamp_abs(value: Self::Real, bound: Self::Real) -> Self::Real {
         Self::min(Self::max(value, -bound), bound)
@@ -115,12 +116,12 @@ pub(crate) trait RealOps: Copy + Debug + 'static {
     /// Selects per lane: returns `then` if `a < b`, else `otherwise`.
     fn select_lt(a: Self::Real, b: Self::Real, then: Self::Real, otherwise: Self::Real) -> Self::Real;
 
-    /// Returns two to the power of the integer in the last bits of `sum`, a number to which [`ROUND`] was added.
-    fn exp2_int(sum: Self::Real) -> Self::Real;
+    /// Returns 2ⁱ for the integer i in the low mantissa bits of `shifted` = i + [`ROUND`].
+    fn exp2_int(shifted: Self::Real) -> Self::Real;
 
-    /// Rotates `(s, c)`, sine and cosine, by as many quarter turns as the integer in the last bits of `turns`, a number
-    /// to which [`ROUND`] was added.
-    fn rotate_quadrant(turns: Self::Real, s: Self::Real, c: Self::Real) -> (Self::Real, Self::Real);
+    /// Rotates `(s, c)`, sine and cosine, by i quarter turns, for the integer i in the low mantissa bits of `shifted` =
+    /// i + [`ROUND`].
+    fn rotate_quadrant(shifted: Self::Real, s: Self::Real, c: Self::Real) -> (Self::Real, Self::Real);
 }
 
 /// A SIMD vector in registers.
@@ -145,12 +146,12 @@ pub(crate) trait SimdVec: RealOps<Real = Self> + Number {
 
 /// A vector with one value of each of several configurations.
 pub(crate) trait SoaLanes: SimdVec {
-    /// Loads eight numbers of each configuration from rows that begin `stride` apart; result i holds number i of every
-    /// row. A row that is incomplete counts as zeros.
+    /// Loads eight numbers from each of several rows, which begin `stride` numbers apart; vector i of the result has
+    /// number i of every row. An incomplete row counts as zeros.
     fn load_transposed(rows: &[f64], stride: usize) -> [Self; LANES];
 
-    /// Stores eight numbers of each configuration into rows that begin `stride` apart, the first row first;
-    /// `columns[i]` holds number i of every row. A row that does not fit is skipped.
+    /// Stores eight numbers into each of several rows, which begin `stride` numbers apart, in the order of the rows;
+    /// `columns[i]` has number i of every row. A row that does not fit is skipped.
     fn store_transposed(columns: &[Self; LANES], rows: &mut [f64], stride: usize);
 }
 
@@ -209,23 +210,23 @@ pub(crate) trait F64x8: SimdVec {
 /// π/2 as a sum of three parts. The first two have 33 bits, so that their products with an integer below 2²⁰ are exact.
 const HALF_PI: [f64; 3] = [1.570_796_326_734_125_6, 6.077_100_506_303_966e-11, 2.022_266_248_795_950_6e-21];
 
-/// 1.5·2⁵²: adding it rounds to the nearest integer, which then is in the last bits of the sum; subtracting it again
-/// returns that integer.
+/// 1.5·2⁵². The sum of this and a number x has the integer nearest to x in its low mantissa bits; subtracting it again
+/// gives that integer as a number.
 const ROUND: f64 = 6_755_399_441_055_744.0;
 
 /// Returns sine and cosine of `angle` [rad], with an error of at most 2.3e-16 for |angle| up to
 /// [`COORDINATE_BOUND`](crate::pose::COORDINATE_BOUND).
 ///
-/// It has no branches, tables or calls, so that a loop over joints can be vectorized, and gives identical results on
-/// every system. The angle is reduced to |r| ≤ π/4 after Cody and Waite; the first omitted term of the Taylor series is
-/// below 5e-17.
+/// It has no branches, tables or calls, so a loop over joints can be vectorized, and results are identical on every
+/// system. The angle is reduced to |r| ≤ π/4 (Cody and Waite); the first omitted term of the Taylor series is below
+/// 5e-17.
 #[inline(always)]
 pub(crate) fn sin_cos<A: RealOps>(angle: A::Real) -> (A::Real, A::Real) {
     let c = A::splat;
-    let sum = A::fma(angle, c(std::f64::consts::FRAC_2_PI), c(ROUND));
-    let turns = sum - c(ROUND);
-    let r = A::fnma(turns, c(HALF_PI[1]), A::fnma(turns, c(HALF_PI[0]), angle));
-    let r = A::fnma(turns, c(HALF_PI[2]), r);
+    let shifted = A::fma(angle, c(std::f64::consts::FRAC_2_PI), c(ROUND));
+    let quarter_turns = shifted - c(ROUND);
+    let r = A::fnma(quarter_turns, c(HALF_PI[1]), A::fnma(quarter_turns, c(HALF_PI[0]), angle));
+    let r = A::fnma(quarter_turns, c(HALF_PI[2]), r);
     let r2 = r * r;
     let r4 = r2 * r2;
     let r8 = r4 * r4;
@@ -240,7 +241,7 @@ pub(crate) fn sin_cos<A: RealOps>(angle: A::Real) -> (A::Real, A::Real) {
     let high = A::fnma(r2, c(1.0 / 87_178_291_200.0), c(1.0 / 479_001_600.0));
     let high = A::fma(r4, c(1.0 / 20_922_789_888_000.0), high);
     let cosine = A::fma(r4, A::fma(r8, high, low), A::fnma(c(0.5), r2, c(1.0)));
-    A::rotate_quadrant(sum, sine, cosine)
+    A::rotate_quadrant(shifted, sine, cosine)
 }
 
 #[cfg(test)]
@@ -263,7 +264,7 @@ mod tests {
 
     /// Number of vectors of angles that are compared. Miri takes milliseconds for each.
     const VECTORS: usize = if cfg!(miri) { 20 } else { 20_000 };
-    /// Number of quarter turns to either side of zero.
+    /// Largest number of quarter turns in either direction.
     const QUARTERS: i32 = if cfg!(miri) { 8 } else { 1000 };
 
     /// Returns the largest difference from the system's functions over a dense sequence of angles within ±`largest`.

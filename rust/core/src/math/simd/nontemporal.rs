@@ -3,12 +3,12 @@
 
 use std::marker::PhantomData;
 
-/// Size of results [bytes] at and above which they are written past the caches: a cached store first reads the line
-/// that it overwrites, and evicts data that is needed sooner.
+/// Results of at least this size [bytes] are written past the caches. A cached store would first read the line that it
+/// overwrites, and evict data that is needed sooner.
 pub(crate) const NONTEMPORAL_MIN_BYTES: usize = 1 << 25;
 
-/// Writer with non-temporal stores; only [`with_nontemporal`] creates it. `'a` is invariant: the destination stays
-/// borrowed for all of it.
+/// Writer with non-temporal stores; only [`with_nontemporal`] creates it. `'a` is invariant, so the destination stays
+/// borrowed for all of `'a`.
 pub(crate) struct NonTemporalWriter<'a>(PhantomData<fn(&'a ()) -> &'a ()>);
 
 /// Guard that, when dropped, orders the copies of a [`NonTemporalWriter`] before all later stores.
@@ -19,7 +19,7 @@ impl Drop for Fence {
     fn drop(&mut self) {
         #[cfg(test)]
         tests::FENCES.with(|count| count.set(count.get() + 1));
-        // Miri knows no fence instruction.
+        // Miri does not support the fence instruction.
         #[cfg(all(target_arch = "x86_64", not(miri)))]
         // SAFETY: every x86-64 processor has the instruction.
         unsafe {
@@ -48,7 +48,7 @@ impl<'a> NonTemporalWriter<'a> {
     #[inline(always)]
     pub(crate) fn copy(&self, from: &[f64], to: &'a mut [f64]) {
         use std::arch::x86_64::_mm_loadu_pd;
-        // Miri knows no non-temporal store; the aligned store needs the same alignment and bounds.
+        // Miri does not support non-temporal stores; an aligned store has the same requirements.
         #[cfg(miri)]
         use std::arch::x86_64::_mm_store_pd as _mm_stream_pd;
         #[cfg(not(miri))]

@@ -13,11 +13,11 @@ pub(crate) struct BaselineF64;
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct FmaF64;
 
-/// Swaps and negates sine and cosine for the quadrant in the last two bits of `turns`.
+/// Rotates (cosine, sine) by quarter turns; their number is in the low mantissa bits of `shifted` (see `super::ROUND`).
 #[inline(always)]
-pub(super) fn rotate_quadrant(turns: f64, sine: f64, cosine: f64) -> (f64, f64) {
-    let quadrant = turns.to_bits();
-    // Odd quadrants swap sine and cosine; the signs follow from the quadrant.
+pub(super) fn rotate_quadrant(shifted: f64, sine: f64, cosine: f64) -> (f64, f64) {
+    let quadrant = shifted.to_bits();
+    // An odd number of quarter turns swaps sine and cosine; the last two bits determine the signs.
     let swap = (quadrant & 1).wrapping_neg();
     let (s, c) = (sine.to_bits(), cosine.to_bits());
     let exchanged = (s ^ c) & swap;
@@ -79,13 +79,13 @@ macro_rules! scalar {
             }
 
             #[inline(always)]
-            fn exp2_int(sum: f64) -> f64 {
-                f64::from_bits((sum.to_bits() << 52).wrapping_add(1023 << 52))
+            fn exp2_int(shifted: f64) -> f64 {
+                f64::from_bits((shifted.to_bits() << 52).wrapping_add(1023 << 52))
             }
 
             #[inline(always)]
-            fn rotate_quadrant(turns: f64, s: f64, c: f64) -> (f64, f64) {
-                rotate_quadrant(turns, s, c)
+            fn rotate_quadrant(shifted: f64, s: f64, c: f64) -> (f64, f64) {
+                rotate_quadrant(shifted, s, c)
             }
         }
     };

@@ -15,8 +15,7 @@ pub(crate) trait JointVector: RealOps<Real = Self> + Number {
     /// 3-vector of the same instruction set.
     type Vec3: StoreVec3<Elem = Self::Elem>;
 
-    /// True to compile whole formulas as calls, for smaller code: for a type that does not fit in registers and runs on
-    /// the baseline instruction set.
+    /// True to compile whole formulas as calls, for smaller code; for a type that does not fit in registers.
     const OUTLINED: bool = false;
 
     /// Loads one number per joint; numbers for which the type has no element must be 0.
@@ -113,7 +112,7 @@ impl<W: F64x8> JointVector for W {
     #[inline(always)]
     fn max_element(self) -> f64 {
         let mut n = self.to_array();
-        // By halves: a sequential maximum would be one long dependency chain.
+        // By halves, because a sequential maximum would be one long dependency chain.
         for half in [4, 2, 1] {
             for i in 0..half {
                 n[i] = Self::Elem::max(n[i], n[i + half]);

@@ -55,8 +55,8 @@ const fn part(name: &'static str, attributes: &'static [Attribute]) -> Part {
     Part { name, attributes, missing: None }
 }
 
-/// Pose of a joint or inertial. urdf-rs ignores the quaternion, because the reduced text has no version; the reader
-/// reads it from the original text.
+/// Pose of a joint or inertial. The reduced text has no URDF version, so urdf-rs ignores the quaternion; the reader
+/// takes it from the original text.
 const ORIGIN: Part = part(
     "origin",
     &[
@@ -217,7 +217,7 @@ impl Source<'_> {
             let node = self.only_child(parent, part.name, owner)?;
             match (node, part.missing) {
                 (None, Some(missing)) => return Err(self.error_at(parent, format!("{owner}: {missing}"))),
-                // An optional element that the file does not contain is left out if one of its attributes has no default.
+                // Leave out an absent optional element if one of its attributes has no default.
                 (None, None) if part.attributes.iter().any(|attribute| attribute.absent.is_none()) => continue,
                 _ => {}
             }

@@ -10,7 +10,7 @@ use crate::error::{Position, Result};
 use crate::model::parts::{Inertial, Joint, JointKind};
 use crate::pose::{COORDINATE_BOUND, Pose};
 
-/// Parses a checked text. Errors of urdf-rs are not passed on: they name neither place nor element, and formatting them
+/// Parses a checked text. Errors of urdf-rs are replaced: they name neither position nor element, and formatting them
 /// takes 17 kB of code.
 pub(in crate::model) fn parse(source: &Source, checked: &Checked) -> Result<urdf_rs::Robot> {
     urdf_rs::read_from_string(&checked.text)
@@ -125,7 +125,7 @@ fn pose(source: &Source, origin: Option<Node>, pose: &urdf_rs::Pose, owner: &str
 
 /// Returns the unit quaternion x y z w of an `<origin>`; `None` if not given.
 ///
-/// Read here, because urdf-rs converts it to roll, pitch and yaw with errors of up to 4.5 mrad near a pitch of ±90°.
+/// urdf-rs would convert it to roll, pitch and yaw with errors of up to 4.5 mrad near a pitch of ±90°.
 fn quaternion(source: &Source, origin: Node, owner: &str) -> Result<Option<[f64; 4]>> {
     let Some(text) = origin.attribute("quat_xyzw") else { return Ok(None) };
     if !quaternions_allowed(origin) {

@@ -13,8 +13,8 @@ pub(in crate::model) const MAX_BYTES: usize = 16 << 20;
 /// which aborts the process.
 const MAX_DEPTH: usize = 64;
 
-/// Maximum number of attributes of one element. Real robots stay below 30; the XML parser compares each with all
-/// others.
+/// Maximum number of attributes of one element. Real robots stay below 30. The XML parser compares every pair of
+/// attributes, so its time grows with the square of their number.
 const MAX_ATTRIBUTES: usize = 64;
 
 /// Maximum number of XML nodes: bounds the time for a hostile text to about a second.
@@ -30,8 +30,8 @@ pub(in crate::model) struct Source<'a> {
     text: &'a str,
     /// Byte offset at which each line starts.
     line_starts: Vec<usize>,
-    /// Last offset requested, the start of its line and its column. In a file of one line the next count continues
-    /// there instead of at the start.
+    /// Cache: last offset requested, the start of its line, and its column. Counting of columns continues from it,
+    /// which keeps files of one very long line fast.
     last: Cell<(usize, usize, usize)>,
 }
 
@@ -120,8 +120,8 @@ impl<'a> Source<'a> {
         }
     }
 
-    /// Refuses elements with too many attributes. Counts `="` and `='` between one `<` and the next, an upper bound on
-    /// the attributes of that element.
+    /// Returns an error for an element with too many attributes, counted by the `="` and `='` from one `<` to the next:
+    /// an upper bound on their number.
     fn refuse_wide(&self) -> Result<()> {
         let (mut tag, mut attributes, mut equals) = (0, 0, false);
         for (offset, byte) in self.text.bytes().enumerate() {
@@ -143,7 +143,7 @@ impl<'a> Source<'a> {
     }
 
     fn refuse_deep(&self, document: &Document) -> Result<()> {
-        // In document order: nodes before the first one that is too deep have few ancestors, so the search is fast.
+        // Document order makes this fast: all nodes before the first one that is too deep have few ancestors.
         let is_deep = |node: &Node| node.is_element() && node.ancestors().nth(MAX_DEPTH + 1).is_some();
         match document.descendants().find(is_deep) {
             Some(node) => Err(self.error_at(node, format!("elements nested deeper than {MAX_DEPTH} levels"))),

@@ -62,19 +62,19 @@ unsafe fn mask_any(mask: Register) -> bool {
 }
 
 #[inline(always)]
-unsafe fn exp2_int(sum: Register) -> Register {
+unsafe fn exp2_int(shifted: Register) -> Register {
     // SAFETY: the processor has the instructions, see `SimdLevel`.
     unsafe {
-        let exponent = _mm256_slli_epi64::<52>(_mm256_castpd_si256(sum));
+        let exponent = _mm256_slli_epi64::<52>(_mm256_castpd_si256(shifted));
         _mm256_castsi256_pd(_mm256_add_epi64(exponent, _mm256_set1_epi64x(1023 << 52)))
     }
 }
 
 #[inline(always)]
-unsafe fn rotate_quadrant(turns: Register, s: Register, c: Register) -> (Register, Register) {
+unsafe fn rotate_quadrant(shifted: Register, s: Register, c: Register) -> (Register, Register) {
     // SAFETY: the processor has the instructions, see `SimdLevel`.
     unsafe {
-        let quadrant = _mm256_castpd_si256(turns);
+        let quadrant = _mm256_castpd_si256(shifted);
         let odd = _mm256_castsi256_pd(_mm256_slli_epi64::<63>(quadrant));
         let sine_sign = and(_mm256_castsi256_pd(_mm256_slli_epi64::<62>(quadrant)), set1(-0.0));
         (xor(blend(odd, c, s), sine_sign), xor(blend(odd, s, c), xor(sine_sign, odd)))

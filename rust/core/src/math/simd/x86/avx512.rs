@@ -37,19 +37,19 @@ unsafe fn blend(mask: Mask, then: Register, otherwise: Register) -> Register {
 }
 
 #[inline(always)]
-unsafe fn exp2_int(sum: Register) -> Register {
+unsafe fn exp2_int(shifted: Register) -> Register {
     // SAFETY: the processor has the instructions, see `SimdLevel`.
     unsafe {
-        let exponent = _mm512_slli_epi64::<52>(_mm512_castpd_si512(sum));
+        let exponent = _mm512_slli_epi64::<52>(_mm512_castpd_si512(shifted));
         _mm512_castsi512_pd(_mm512_add_epi64(exponent, _mm512_set1_epi64(1023 << 52)))
     }
 }
 
 #[inline(always)]
-unsafe fn rotate_quadrant(turns: Register, s: Register, c: Register) -> (Register, Register) {
+unsafe fn rotate_quadrant(shifted: Register, s: Register, c: Register) -> (Register, Register) {
     // SAFETY: the processor has the instructions, see `SimdLevel`.
     unsafe {
-        let quadrant = _mm512_castpd_si512(turns);
+        let quadrant = _mm512_castpd_si512(shifted);
         let odd = _mm512_test_epi64_mask(quadrant, _mm512_set1_epi64(1));
         let sine_sign = and(_mm512_castsi512_pd(_mm512_slli_epi64::<62>(quadrant)), set1(-0.0));
         let cosine_sign = xor(sine_sign, _mm512_castsi512_pd(_mm512_slli_epi64::<63>(quadrant)));

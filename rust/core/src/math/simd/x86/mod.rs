@@ -86,15 +86,15 @@ macro_rules! simd_type {
             }
 
             #[inline(always)]
-            fn exp2_int(sum: Self) -> Self {
+            fn exp2_int(shifted: Self) -> Self {
                 // SAFETY: the processor has the instructions, see `SimdLevel`.
-                Self(unsafe { [$(exp2_int(sum.0[$i])),*] })
+                Self(unsafe { [$(exp2_int(shifted.0[$i])),*] })
             }
 
             #[inline(always)]
-            fn rotate_quadrant(turns: Self, mut s: Self, mut c: Self) -> (Self, Self) {
+            fn rotate_quadrant(shifted: Self, mut s: Self, mut c: Self) -> (Self, Self) {
                 // SAFETY: the processor has the instructions, see `SimdLevel`.
-                $((s.0[$i], c.0[$i]) = unsafe { rotate_quadrant(turns.0[$i], s.0[$i], c.0[$i]) };)*
+                $((s.0[$i], c.0[$i]) = unsafe { rotate_quadrant(shifted.0[$i], s.0[$i], c.0[$i]) };)*
                 (s, c)
             }
         }

@@ -75,19 +75,19 @@ unsafe fn mask_any(mask: Register) -> bool {
 }
 
 #[inline(always)]
-unsafe fn exp2_int(sum: Register) -> Register {
+unsafe fn exp2_int(shifted: Register) -> Register {
     // SAFETY: every x86-64 processor has SSE2.
     unsafe {
-        let exponent = _mm_slli_epi64::<52>(_mm_castpd_si128(sum));
+        let exponent = _mm_slli_epi64::<52>(_mm_castpd_si128(shifted));
         _mm_castsi128_pd(_mm_add_epi64(exponent, _mm_set1_epi64x(1023 << 52)))
     }
 }
 
 #[inline(always)]
-unsafe fn rotate_quadrant(turns: Register, s: Register, c: Register) -> (Register, Register) {
+unsafe fn rotate_quadrant(shifted: Register, s: Register, c: Register) -> (Register, Register) {
     // SAFETY: every x86-64 processor has SSE2.
     unsafe {
-        let quadrant = _mm_castpd_si128(turns);
+        let quadrant = _mm_castpd_si128(shifted);
         let one = _mm_set1_epi64x(1);
         // 0 − 1 has all bits set, as the mask requires; 0 − 0 has none.
         let odd = _mm_castsi128_pd(_mm_sub_epi64(_mm_set1_epi64x(0), _mm_and_si128(quadrant, one)));
