@@ -64,8 +64,8 @@ NUMBERS = ("kp", "friction", "damping", "torque", "payload", "delay", "reach")
 
 def differs(plant: ArrayLike, assumed: ArrayLike) -> bool:
     """Return True if two numbers, or some entries of two arrays, differ."""
-    one, other = np.broadcast_arrays(np.asarray(plant, float), np.asarray(assumed, float))
-    return not np.allclose(one, other, rtol=SAME, atol=SAME)
+    first, second = np.broadcast_arrays(np.asarray(plant, float), np.asarray(assumed, float))
+    return not np.allclose(first, second, rtol=SAME, atol=SAME)
 
 
 def under(conditions: Conditions) -> Mismatch:

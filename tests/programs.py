@@ -175,9 +175,9 @@ class Program:
 
     def wait(self, timeout: float = 100.0) -> int:
         """Return the exit code; raise `TimeoutExpired` after `timeout` seconds."""
-        until = time.monotonic() + timeout
+        deadline = time.monotonic() + timeout
         while self.poll() is None:
-            if time.monotonic() > until:
+            if time.monotonic() > deadline:
                 raise subprocess.TimeoutExpired(f"process {self.pid}", timeout)
             time.sleep(LOOK)
         assert self.returncode is not None
@@ -185,7 +185,7 @@ class Program:
 
     def communicate(self, timeout: float = 100.0) -> tuple[str, str]:
         """Wait for the end of the program; return the text of stdout and stderr, if piped."""
-        until, said = time.monotonic() + timeout, {self.stdout: "", self.stderr: ""}
+        deadline, said = time.monotonic() + timeout, {self.stdout: "", self.stderr: ""}
         if self.stdin is not None:
             self.stdin.close()
 
@@ -196,10 +196,10 @@ class Program:
         for reader in readers:
             reader.start()
         for reader in readers:
-            reader.join(max(until - time.monotonic(), 0.0))
+            reader.join(max(deadline - time.monotonic(), 0.0))
             if reader.is_alive():
                 raise subprocess.TimeoutExpired(f"process {self.pid}", timeout)
-        self.wait(max(until - time.monotonic(), LOOK))
+        self.wait(max(deadline - time.monotonic(), LOOK))
         self._close()
         return said[self.stdout], said[self.stderr]
 
@@ -221,9 +221,9 @@ def run(*words: str, timeout: float = 100.0, **options: Any) -> subprocess.Compl
     """Run a program to its end, like `subprocess.run` with captured text."""
     program = Program(*words, **options)
     try:
-        said, complained = program.communicate(timeout)
+        stdout, stderr = program.communicate(timeout)
     except BaseException:
         program.kill()
         program.wait()
         raise
-    return subprocess.CompletedProcess(list(words), program.returncode, said, complained)
+    return subprocess.CompletedProcess(list(words), program.returncode, stdout, stderr)

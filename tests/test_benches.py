@@ -83,7 +83,7 @@ def test_counting_is_skipped_loudly(lacking, tmp_path):
         if found is None:
             pytest.skip(f"{tool} is not installed")
         (tmp_path / tool).symlink_to(found)
-    done = subprocess.run(
+    result = subprocess.run(
         [sys.executable, str(BENCHES / "counts.py")],
         env={**os.environ, "PATH": str(tmp_path)},
         capture_output=True,
@@ -91,6 +91,6 @@ def test_counting_is_skipped_loudly(lacking, tmp_path):
         timeout=60,
         check=False,
     )
-    assert done.returncode == 0, done.stderr
-    assert "!! SKIPPED: instruction counts" in done.stdout
-    assert lacking in done.stdout or "no counts stored" in done.stdout
+    assert result.returncode == 0, result.stderr
+    assert "!! SKIPPED: instruction counts" in result.stdout
+    assert lacking in result.stdout or "no counts stored" in result.stdout

@@ -22,14 +22,14 @@ TERMS = {word for row in ROWS for word in re.findall(r"`([^`]+)`", row.split("|"
 SELF_EXPLAINING = {"grippers", "handle_signals", "power_budget", "rate", "table", "watchdog"}
 
 
-def words_of(*things: object) -> set[str]:
+def words_of(*objects: object) -> set[str]:
     """Return the public names of these classes and modules."""
     found = set()
-    for thing in things:
-        found |= {name for name in dir(thing) if not name.startswith("_")}
-        if inspect.isclass(thing):
-            found |= set(inspect.signature(thing).parameters)
-            documented = re.findall(r"^ +([\w, ]+): ", thing.__doc__ or "", re.MULTILINE)
+    for item in objects:
+        found |= {name for name in dir(item) if not name.startswith("_")}
+        if inspect.isclass(item):
+            found |= set(inspect.signature(item).parameters)
+            documented = re.findall(r"^ +([\w, ]+): ", item.__doc__ or "", re.MULTILINE)
             found |= {name for names in documented for name in names.split(", ")}
     return found
 
@@ -50,8 +50,8 @@ SPOKEN = words_of(
 
 
 def test_every_field_of_an_axis_and_option_of_an_arm_is_explained():
-    wanted = set(inspect.signature(pliant.Axis).parameters) | ARM_OPTIONS - SELF_EXPLAINING
-    assert wanted - {"soft_step_limit"} <= {term.split(".")[-1] for term in TERMS}
+    expected = set(inspect.signature(pliant.Axis).parameters) | ARM_OPTIONS - SELF_EXPLAINING
+    assert expected - {"soft_step_limit"} <= {term.split(".")[-1] for term in TERMS}
 
 
 def test_every_exception_is_listed_with_the_built_in_that_it_derives_from():

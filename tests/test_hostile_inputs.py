@@ -165,9 +165,9 @@ def toml(draw):
 @given(toml())
 def test_configurations(text):
     try:
-        read = config.parse(text, source="arm.toml")
-        model = read.model()
-        pliant.Controller(model, read.settings())
+        arm_config = config.parse(text, source="arm.toml")
+        model = arm_config.model()
+        pliant.Controller(model, arm_config.settings())
     except pliant.PliantError as error:
         assert len(str(error)) > 10  # noqa: PT017
 

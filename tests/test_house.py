@@ -60,9 +60,9 @@ def test_version_is_the_one_of_the_workspace():
 
 def test_import_loads_no_extra(tmp_path):
     code = f"import json, sys, pliant; print(json.dumps([m for m in {EXTRAS} if m in sys.modules]))"
-    done = run("-I", "-c", code, cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout) == []
+    result = run("-I", "-c", code, cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert json.loads(result.stdout) == []
 
 
 def python_blocks(text: str) -> list[str]:
@@ -85,8 +85,8 @@ def test_python_in_documents_runs(document, tmp_path):
     blocks = python_blocks(document.read_text(encoding="utf-8"))
     script = tmp_path / "document.py"
     script.write_text("\n".join(blocks), encoding="utf-8")
-    done = run_program(script, tmp_path, PLIANT_SHORT="1")
-    assert done.returncode == 0, done.stderr
+    result = run_program(script, tmp_path, PLIANT_SHORT="1")
+    assert result.returncode == 0, result.stderr
 
 
 @pytest.mark.parametrize("document", ["docs/rust.md", "rust/core/README.md"])
@@ -127,8 +127,8 @@ SHORT = [
 @pytest.mark.slow
 @pytest.mark.parametrize("example", SHORT)
 def test_example_runs(example, tmp_path):
-    done = run_program(example, tmp_path, PLIANT_SHORT="1")
-    assert done.returncode == 0, done.stderr
+    result = run_program(example, tmp_path, PLIANT_SHORT="1")
+    assert result.returncode == 0, result.stderr
 
 
 NUMBER = re.compile(r"[-+−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
@@ -147,12 +147,12 @@ def near(kept: str, now: str) -> bool:
 def test_gallery_is_of_this_law(number, tmp_path):
     (example,) = (ROOT / "examples").glob(f"{number}_*.py")
     kept = (ROOT / "docs" / "gallery" / f"{example.stem}.txt").read_text(encoding="utf-8")
-    done = run_program(example, tmp_path, COLUMNS="100")
-    assert done.returncode == 0, done.stderr
-    told = [kept.split("\n", 1)[1], done.stdout]
+    result = run_program(example, tmp_path, COLUMNS="100")
+    assert result.returncode == 0, result.stderr
+    told = [kept.split("\n", 1)[1], result.stdout]
     words = [NUMBER.sub("#", text).split() for text in told]
     numbers = [NUMBER.findall(text) for text in told]
-    stale = f"{example.name} says something else now: make gallery ARGS={number}\n{done.stdout}"
+    stale = f"{example.name} says something else now: make gallery ARGS={number}\n{result.stdout}"
     assert words[0] == words[1], stale
     assert all(near(a, b) for a, b in zip(*numbers, strict=True)), stale
 
@@ -212,9 +212,9 @@ def test_wheel_is_complete_and_small(wheel):
 def test_a_wheel_for_others_names_no_folder_of_its_builder(wheel):
     if not os.environ.get("CI"):
         pytest.skip("only CI builds wheels for others")
-    opened = zipfile.ZipFile(wheel)
-    (module,) = [name for name in opened.namelist() if name.endswith(".so")]
-    binary = opened.read(module)
+    archive = zipfile.ZipFile(wheel)
+    (module,) = [name for name in archive.namelist() if name.endswith(".so")]
+    binary = archive.read(module)
     assert str(Path.home()).encode() + b"/" not in binary
     assert str(ROOT).encode() not in binary
 
@@ -233,9 +233,9 @@ def test_notices_are_of_the_crates_that_are_linked():
 def test_wheel_works_away_from_the_sources(wheel, tmp_path):
     zipfile.ZipFile(wheel).extractall(tmp_path)
     code = "import pliant; print(pliant.__file__, pliant.__version__)"
-    done = run("-c", code, cwd=tmp_path, PYTHONPATH=str(tmp_path))
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith(str(tmp_path))
+    result = run("-c", code, cwd=tmp_path, PYTHONPATH=str(tmp_path))
+    assert result.returncode == 0, result.stderr
+    assert result.stdout.startswith(str(tmp_path))
 
 
 def test_source_distribution_can_be_built(wheel):

@@ -250,7 +250,7 @@ def members(name: str) -> list[object]:
     """Return all members with a name: of a public module, or of a class in a public module."""
     found = [getattr(module, name) for module in MODULES if hasattr(module, name)]
     classes = {
-        thing for module in MODULES for thing in vars(module).values() if isinstance(thing, type)
+        item for module in MODULES for item in vars(module).values() if isinstance(item, type)
     }
     lazy = {
         getattr(module, word)
@@ -258,7 +258,7 @@ def members(name: str) -> list[object]:
         for word in getattr(module, "__all__", ())
         if isinstance(getattr(module, word, None), type)
     }
-    return found + [getattr(thing, name) for thing in classes | lazy if hasattr(thing, name)]
+    return found + [getattr(item, name) for item in classes | lazy if hasattr(item, name)]
 
 
 def resolve(dotted: str) -> list[object]:
@@ -273,21 +273,21 @@ def resolve(dotted: str) -> list[object]:
     else:
         found = members(head)
     for name in tail:
-        fields = {id(thing): getattr(thing, "__annotations__", {}) for thing in found}
+        fields = {id(item): getattr(item, "__annotations__", {}) for item in found}
         found = [
-            getattr(thing, name, fields[id(thing)].get(name))
-            for thing in found
-            if hasattr(thing, name) or name in fields[id(thing)]
+            getattr(item, name, fields[id(item)].get(name))
+            for item in found
+            if hasattr(item, name) or name in fields[id(item)]
         ]
     return found
 
 
-def keywords(thing: object) -> set[str]:
+def keywords(item: object) -> set[str]:
     """Return the keywords that a callable takes."""
-    if thing is pliant.connect:
+    if item is pliant.connect:
         return {*ARM_OPTIONS, *FILE_OPTIONS, *PLANT_OPTIONS, "q", "real_time"}
     try:
-        return set(inspect.signature(thing).parameters)
+        return set(inspect.signature(item).parameters)
     except (TypeError, ValueError):
         return set()
 
@@ -303,21 +303,21 @@ def calls(text: str, _file: str) -> list[tuple[str, str]]:
     return [call for call in CALL.findall(text) if call[0] != "Command"]
 
 
-def takes(thing: object, arguments: str) -> bool:
+def takes(item: object, arguments: str) -> bool:
     """Return True if a function accepts these arguments; "..." stands for any arguments."""
-    if not callable(thing):
+    if not callable(item):
         return False
     flat = re.sub(r"\([^()]*\)|\[[^\[\]]*\]|\"[^\"]*\"", "0", arguments)
     given = [part.strip() for part in flat.split(",") if part.strip()]
     named = {part.split("=")[0].strip() for part in given if re.match(r"[a-z_]+\s?=", part)}
-    if not named <= keywords(thing):
+    if not named <= keywords(item):
         return False
-    if "..." in flat or "…" in flat or thing is pliant.connect:
+    if "..." in flat or "…" in flat or item is pliant.connect:
         return True
     values = [None for part in given if "=" not in part]
-    itself = [None] if needs_object(thing) else []
+    itself = [None] if needs_object(item) else []
     try:
-        inspect.signature(thing).bind(*itself, *values, **dict.fromkeys(named))
+        inspect.signature(item).bind(*itself, *values, **dict.fromkeys(named))
     except TypeError:
         return False
     except ValueError:
@@ -325,17 +325,17 @@ def takes(thing: object, arguments: str) -> bool:
     return True
 
 
-def needs_object(thing: object) -> bool:
+def needs_object(item: object) -> bool:
     """Return True if a function of a class is a method that needs an object."""
-    if inspect.isfunction(thing):
-        return "." in thing.__qualname__
-    return inspect.ismethoddescriptor(thing) and type(thing).__name__ == "method_descriptor"
+    if inspect.isfunction(item):
+        return "." in item.__qualname__
+    return inspect.ismethoddescriptor(item) and type(item).__name__ == "method_descriptor"
 
 
 def is_callable_so(call: tuple[str, str]) -> bool:
     """Return True if a function or class with this name accepts these arguments."""
     name, arguments = call
-    return any(takes(thing, arguments) for thing in resolve(name))
+    return any(takes(item, arguments) for item in resolve(name))
 
 
 def test_calls_exist_with_their_keywords():
@@ -423,19 +423,19 @@ def every_keyword() -> set[str]:
     found = set(keywords(pliant.connect)) | {"python"}
     for module in MODULES:
         for name in {*vars(module), *getattr(module, "__all__", ())}:
-            thing = getattr(module, name, None)
-            if not callable(thing) or name.startswith("_"):
+            item = getattr(module, name, None)
+            if not callable(item) or name.startswith("_"):
                 continue
-            found |= keywords(thing)
-            if isinstance(thing, type):
+            found |= keywords(item)
+            if isinstance(item, type):
                 found |= {
-                    key for part in vars(thing).values() if callable(part) for key in keywords(part)
+                    key for part in vars(item).values() if callable(part) for key in keywords(part)
                 }
                 found |= {
                     key
-                    for name in dir(thing)
-                    if not name.startswith("_") and callable(getattr(thing, name))
-                    for key in keywords(getattr(thing, name))
+                    for name in dir(item)
+                    if not name.startswith("_") and callable(getattr(item, name))
+                    for key in keywords(getattr(item, name))
                 }
     return found
 

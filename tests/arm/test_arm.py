@@ -164,9 +164,9 @@ def test_a_bus_that_is_gone_ends_the_descent_with_advice(make):
             arm.drive.broken = True
             raise KeyError("first")
 
-    with pytest.raises(KeyError) as caught:
+    with pytest.raises(KeyError) as error:
         fail()
-    assert "while the arm was being lowered" in caught.value.__notes__[0]
+    assert "while the arm was being lowered" in error.value.__notes__[0]
 
 
 def test_joints_that_do_not_answer_are_named_before_torque_goes_on(make):
@@ -178,28 +178,31 @@ def test_joints_that_do_not_answer_are_named_before_torque_goes_on(make):
     assert not arm.enabled
 
 
-@pytest.mark.parametrize(("way", "starts"), [(0.05, True), (-0.05, True), (0.5, False)])
-def test_a_joint_measured_outside_its_limits_gets_no_torque(make, grasp, way, starts):
+@pytest.mark.parametrize(("direction", "starts"), [(0.05, True), (-0.05, True), (0.5, False)])
+def test_a_joint_measured_outside_its_limits_gets_no_torque(make, grasp, direction, starts):
     arm = make()
     read, model = arm.drive.read, arm.model
     low, high = model.lower[3], model.upper[3]
 
     def misplaced():
         sample = read()
-        sample.position[3] = high + way if way > 0.0 else low + way
+        sample.position[3] = high + direction if direction > 0.0 else low + direction
         return sample
 
     arm.drive.read = misplaced
-    assert arm.drive.read().position[3] != pytest.approx(arm.drive.plant.q[3], abs=abs(way) / 2)
+    assert arm.drive.read().position[3] != pytest.approx(
+        arm.drive.plant.q[3], abs=abs(direction) / 2
+    )
     if starts:  # a joint on its stop
         arm.enable()
-        assert arm.read().q[3] == (high if way > 0.0 else low) + way
+        assert arm.read().q[3] == (high if direction > 0.0 else low) + direction
         arm.disable_torque()
         return
-    said = (
-        rf"elbow_pitch stands at {high + way:.2f} rad, outside its {low:.2f} to {high:.2f}.*doctor"
+    message = (
+        rf"elbow_pitch stands at {high + direction:.2f} rad, "
+        rf"outside its {low:.2f} to {high:.2f}.*doctor"
     )
-    with pytest.raises(pliant.ServoError, match=said):
+    with pytest.raises(pliant.ServoError, match=message):
         arm.enable()
     assert arm.drive.diary == []
     assert not arm.enabled

@@ -112,9 +112,9 @@ def begin(bus, tmp_path):
         yield start
 
 
-def wait_for(pid, within=60.0):
+def wait_for(pid, timeout=60.0):
     """Wait for the end of a process; return True if it has ended."""
-    deadline = time.monotonic() + within
+    deadline = time.monotonic() + timeout
     while is_running(pid) and time.monotonic() < deadline:
         time.sleep(0.02)
     return not is_running(pid)
@@ -122,11 +122,11 @@ def wait_for(pid, within=60.0):
 
 def test_a_program_that_lowers_its_arm_leaves_nothing_behind(bus, begin):
     program, pid = begin("arm.close()\nprint('closed', flush=True)")
-    said, complained = program.communicate()
-    assert said.split() == ["closed"], complained
+    stdout, stderr = program.communicate()
+    assert stdout.split() == ["closed"], stderr
     assert not is_running(pid)
     assert not bus.call("recorder.has_torque")
-    assert "guardian" not in complained
+    assert "guardian" not in stderr
 
 
 def test_a_program_without_standard_streams_has_a_guardian(bus, tmp_path):
@@ -164,10 +164,10 @@ def test_on_exit_holds_for_the_guardian_too(bus, begin):
     program, pid = begin(HOLD, on_exit="leave_enabled")
     assert program.stdout.readline() == "holds\n"
     program.kill()
-    _, complained = program.communicate()
+    _, stderr = program.communicate()
     assert wait_for(pid)
     assert bus.call("recorder.has_torque")
-    assert "stays where it is, torque ON" in complained
+    assert "stays where it is, torque ON" in stderr
 
 
 def test_a_second_program_gets_an_error_and_the_first_goes_on(bus, begin):
@@ -177,8 +177,8 @@ def test_a_second_program_gets_an_error_and_the_first_goes_on(bus, begin):
     assert second.wait() == 3
     assert is_running(pid)
     first.send_signal(signal.SIGTERM)
-    _, complained = first.communicate()
-    assert "was lowered: torque OFF" in complained
+    _, stderr = first.communicate()
+    assert "was lowered: torque OFF" in stderr
     assert wait_for(pid)
 
 
@@ -236,8 +236,8 @@ def test_a_program_that_closes_all_its_files_loses_the_arm(bus, begin):
 def test_a_guardian_that_was_killed_is_reported_and_changes_nothing(bus, begin):
     program, pid = begin(f"{HOLD.rstrip()}\n    if tick.index == 50:\n        break\narm.close()\n")
     os.kill(pid, signal.SIGKILL)
-    _, complained = program.communicate()
-    assert "the guardian of the arm has ended before the program" in complained
+    _, stderr = program.communicate()
+    assert "the guardian of the arm has ended before the program" in stderr
     assert not bus.call("recorder.has_torque")
 
 

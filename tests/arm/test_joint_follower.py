@@ -29,7 +29,7 @@ def follow(name, joint, amplitude, *, max_force=4.0, **options):
 
     The largest motion of the other joints [rad] is returned too.
     """
-    times, places = [], []
+    times, positions = [], []
     with connect(name, table=False, **options) as arm:
         follower = JointFollower(arm.model, arm.servos, max_force=max_force)
         start = arm.read().q.copy()
@@ -39,10 +39,10 @@ def follow(name, joint, amplitude, *, max_force=4.0, **options):
             target[joint] += amplitude * math.sin(2 * math.pi * FREQUENCY * step)
             tick.step(target)
             times.append(tick.time)
-            places.append(tick.q - start)
+            positions.append(tick.q - start)
     late = np.array(times) > 4.0
     phase = 2 * math.pi * FREQUENCY * np.array(times)[late]
-    moved = np.array(places)[late]
+    moved = np.array(positions)[late]
     waves = np.stack([np.sin(phase), np.cos(phase), np.ones(phase.size)], axis=1)
     (sine, cosine, _), *_ = np.linalg.lstsq(waves, moved[:, joint], rcond=None)
     lag = -math.atan2(cosine, sine) / (2 * math.pi * FREQUENCY)
@@ -85,12 +85,12 @@ def pushed(axis, force, max_force):
         plant.set_hands([Push(force_vector=tuple(push), course=course)])
         follower = JointFollower(model, arm.servos, max_force=max_force)
         start = arm.read().q.copy()
-        place = [np.asarray(model.forward_kinematics(start))[:3, 3]]
+        position = [np.asarray(model.forward_kinematics(start))[:3, 3]]
         for tick in pliant.Loop(arm, follower, rate=100.0, duration=5.0):
             tick.step(start)
-            place.append(np.asarray(model.forward_kinematics(tick.q))[:3, 3])
-    away = np.abs(np.array(place) - place[0])[:, axis]
-    speed = np.linalg.norm(np.diff(place[230:], axis=0), axis=1).max() * 100.0
+            position.append(np.asarray(model.forward_kinematics(tick.q))[:3, 3])
+    away = np.abs(np.array(position) - position[0])[:, axis]
+    speed = np.linalg.norm(np.diff(position[230:], axis=0), axis=1).max() * 100.0
     return away.max(), away[-1], speed
 
 

@@ -248,13 +248,15 @@ class Life(RuleBasedStateMachine):
     @rule(
         seconds=st.sampled_from([0.1, 0.3, 0.6]),
         soft=st.sampled_from(["y", "x y", "z"]),
-        way=st.sampled_from([(0.0, 0.0, 0.0), (0.0, 0.05, 0.0), (0.0, 0.0, 0.04), (0.3, 0.3, 0.3)]),
+        direction=st.sampled_from(
+            [(0.0, 0.0, 0.0), (0.0, 0.05, 0.0), (0.0, 0.0, 0.04), (0.3, 0.3, 0.3)]
+        ),
     )
-    def run(self, seconds, soft, way):
+    def run(self, seconds, soft, direction):
         def ticks():
             chosen = pliant.Settings.soft(soft, task="xyz")
             controller = pliant.Controller(self.arm.model, chosen, self.arm.servos)
-            target = self.arm.model.forward_kinematics(self.arm.read().q)[:3, 3] + way
+            target = self.arm.model.forward_kinematics(self.arm.read().q)[:3, 3] + direction
             for tick in pliant.Loop(self.arm, controller, duration=seconds):
                 command = tick.step(target)
                 asked = self.arm.drive.asked[: self.n]
@@ -304,14 +306,14 @@ class Life(RuleBasedStateMachine):
     @rule(volts=st.sampled_from([4.0, 20.0]), seconds=st.sampled_from([0.1, 1.0]))
     def vary_supply(self, volts, seconds):
         """Change the supply beyond the range of the servos, for a time."""
-        usual = self.bus.servo(1).supply
+        nominal = self.bus.servo(1).supply
 
         def act():
             self.has_tripped = True
             self.bus.supply(volts)
 
         self.clock.after(0.0, act)
-        self.clock.after(seconds, lambda: self.bus.supply(usual))
+        self.clock.after(seconds, lambda: self.bus.supply(nominal))
 
     @rule(seconds=st.sampled_from([0.3, 1.5]))
     def stall(self, seconds):

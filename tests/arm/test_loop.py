@@ -112,9 +112,9 @@ def test_a_loop_needs_torque_and_a_rate_that_fits(make):
 def test_a_loop_names_wrong_arguments(make):
     with pytest.raises(TypeError, match=r"arm must be an Arm, .*got None \(NoneType\)"):
         pliant.Loop(None, None, rate=0.0)
-    for wrong, said in ((-1.0, "must be 0 s or more"), ("2", "must be a number, got '2'")):
+    for wrong, message in ((-1.0, "must be 0 s or more"), ("2", "must be a number, got '2'")):
         for name in ("duration", "max_step_time"):
-            with pytest.raises(pliant.ConfigError, match=f"{name} {said}"):
+            with pytest.raises(pliant.ConfigError, match=f"{name} {message}"):
                 pliant.Loop(make(), **{name: wrong})
 
 
@@ -190,11 +190,11 @@ SHORT = {
 def test_nothing_that_goes_wrong_drops_the_arm(title):
     case = next(m for m in FAULT_CASES if m.title == title)
     outcome, meanwhile, descent = EXPECTED[title]
-    got = run_fault(case)
-    assert got.outcome == outcome, got.reason
-    assert got.speed < meanwhile
-    assert got.drop < 1e-3
-    assert got.descent < descent
+    result = run_fault(case)
+    assert result.outcome == outcome, result.reason
+    assert result.speed < meanwhile
+    assert result.drop < 1e-3
+    assert result.descent < descent
 
 
 def test_a_target_that_jumps_pushes_a_hand_with_what_its_axes_may(grasp):
@@ -203,11 +203,13 @@ def test_a_target_that_jumps_pushes_a_hand_with_what_its_axes_may(grasp):
     controller.step(grasp, model.forward_kinematics(grasp))
     lever = np.linalg.pinv(model.jacobian(grasp))[:, :3]
     gears = np.abs(lever).T @ np.asarray(model.servos.friction)
-    got = run_fault(next(m for m in FAULT_CASES if m.title.startswith("target jumps")), held=True)
+    outcome = run_fault(
+        next(m for m in FAULT_CASES if m.title.startswith("target jumps")), held=True
+    )
     # x and z are stiff (cap `hold`), y is soft; the force on each stays within 15 % of its cap.
-    most = 1.15 * np.asarray(controller.diagnostics.axis_strength[:3]) + gears
-    assert got.along[0] > 0.9 * controller.diagnostics.axis_strength[0]
-    assert np.all(got.along < most), (got.along, most)
+    largest = 1.15 * np.asarray(controller.diagnostics.axis_strength[:3]) + gears
+    assert outcome.along[0] > 0.9 * controller.diagnostics.axis_strength[0]
+    assert np.all(outcome.along < largest), (outcome.along, largest)
 
 
 def test_lost_readings_do_not_excuse_missing_commands():

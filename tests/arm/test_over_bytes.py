@@ -220,9 +220,9 @@ def test_torque_does_not_go_off_where_servos_refuse_the_way_down(
         else:
             with pytest.raises(pliant.ServoFaultError, match="do not take the goals"):
                 arm.lower()
-            said = " ".join(capsys.readouterr().err.split()) + caplog.text
-            assert "torque is ON in" in said
-            assert "the bus is gone" not in said
+            stderr = " ".join(capsys.readouterr().err.split()) + caplog.text
+            assert "torque is ON in" in stderr
+            assert "the bus is gone" not in stderr
             assert all(switches(bus, k)[-1] == "torque on" for k in range(1, 7))
         arm.close()
 

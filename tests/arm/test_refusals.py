@@ -50,7 +50,7 @@ def test_limits_that_carry_the_weight_and_a_controllers_are_not_warned_of(make, 
 
 
 def test_an_argument_of_another_kind_is_named(make, grasp):
-    for wrong, error, said in (
+    for wrong, error, message in (
         (lambda: make(power_budget=5), TypeError, r"power_budget must be a Budget.*got 5 \(int\)"),
         (lambda: make(power_budget=0), TypeError, r"power_budget must be a Budget.*got 0 \(int\)"),
         (lambda: make(grippers=5), TypeError, r"grippers must be a mapping, as .*got 5 \(int\)"),
@@ -62,11 +62,11 @@ def test_an_argument_of_another_kind_is_named(make, grasp):
         (lambda: pliant.Loop(make(), 5), TypeError, r"controller must be .*got 5 \(int\)"),
         (lambda: pliant.Loop(make(), recorder=5), TypeError, r"recorder must be .*got 5 \(int\)"),
     ):
-        with pytest.raises(error, match=said):
+        with pytest.raises(error, match=message):
             wrong()
     with make(q=None, robot="so101") as arm:
         q = arm.read().q
-        for arguments, error, said in (
+        for arguments, error, message in (
             ((q, None, 5), TypeError, r"extra must be a mapping, as \{'gripper': .*got 5 \(int\)"),
             ((q, None, 0), TypeError, r"extra must be a mapping, as \{'gripper': .*got 0 \(int\)"),
             (
@@ -89,7 +89,7 @@ def test_an_argument_of_another_kind_is_named(make, grasp):
             ((q, q < 9.0), pliant.ShapeError, "limit must be 5 real numbers"),
         ):
             before = len(arm.drive.diary)
-            with pytest.raises(error, match=said):
+            with pytest.raises(error, match=message):
                 arm.write(*arguments)
             assert len(arm.drive.diary) == before
         for tick in pliant.Loop(arm):
@@ -102,7 +102,7 @@ def test_an_argument_of_another_kind_is_named(make, grasp):
 
 
 @pytest.mark.parametrize(
-    ("option", "value", "said"),
+    ("option", "value", "message"),
     [
         ("comm_timeout", np.inf, "comm_timeout must be above 0 s and at most 60 s, got inf"),
         ("comm_timeout", 1e9, "at most 60 s, got 1e[+]09"),
@@ -113,8 +113,8 @@ def test_an_argument_of_another_kind_is_named(make, grasp):
         ("watchdog", np.inf, "watchdog must be 0 s .*got inf"),
     ],
 )
-def test_times_that_would_keep_an_arm_up_for_ever_are_refused(make, option, value, said):
-    with pytest.raises(pliant.ConfigError, match=said):
+def test_times_that_would_keep_an_arm_up_for_ever_are_refused(make, option, value, message):
+    with pytest.raises(pliant.ConfigError, match=message):
         make(**{option: value})
 
 
@@ -124,12 +124,12 @@ def test_a_controller_of_another_robot_is_refused(make, make_controller):
     settings = (pliant.Settings(task="xyz"),) if make_controller is pliant.Controller else ()
     stranger = pliant.robots.koch()
     assert stranger.joint_names == arm.model.joint_names
-    for model, said in (
+    for model, message in (
         (stranger, "made for koch_like, the arm is so101_like .joint shoulder_pan has another"),
         (pliant.robots.arm7(), "made for .*, the arm is so101_like .joints .*, not shoulder_pan"),
     ):
         controller = make_controller(model, *settings)
-        with pytest.raises(pliant.ConfigError, match=said):
+        with pytest.raises(pliant.ConfigError, match=message):
             pliant.Loop(arm, controller)
 
 

@@ -59,7 +59,7 @@ class Servos:
         self.on, self.is_descending = False, False
         self.port, self.faults = None, 0
 
-    def check(self, drive, what):
+    def check(self, drive, description):
         """Check that the task has the arm to itself; called before every access."""
         world = self.world
         world.scheduler.retrace()
@@ -68,7 +68,7 @@ class Servos:
         if self.port != drive:
             raise pliant.ServoError("the port is closed")
         if lock is not None and lock.owner is not world.scheduler.current:
-            world.fail(f"{what} without the lock of the arm")
+            world.fail(f"{description} without the lock of the arm")
         if self.faults:
             self.faults -= 1
             raise pliant.ServoError("no answer")
@@ -187,7 +187,7 @@ class Messages:
         message.is_written = True
         return message
 
-    def flush(self, within=0.0):
+    def flush(self, timeout=0.0):
         pass
 
 
@@ -353,11 +353,11 @@ class World:
             io.send(io.goal, io.limit)
         return np.full(MODEL.n, np.nan)
 
-    def _wait(self, things, timeout):
+    def _wait(self, objects, timeout):
         scheduler = self.scheduler
 
         def ready():
-            return [t for t in things if (self.has_ended if t == "end" else t.is_ready())]
+            return [t for t in objects if (self.has_ended if t == "end" else t.is_ready())]
 
         scheduler.wait(lambda: bool(ready()), scheduler.now + timeout)
         return ready()

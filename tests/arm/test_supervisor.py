@@ -26,7 +26,7 @@ def until(condition):
 def test_silence_is_detected_once_and_raised_at_the_next_call():
     left = []
     supervisor = Supervisor(lambda: left.append(sys.getswitchinterval()))
-    usual = sys.getswitchinterval()
+    interval = sys.getswitchinterval()
     with supervisor.supervised(0.05) as check:
         for _ in range(5):
             with supervisor:
@@ -39,7 +39,7 @@ def test_silence_is_detected_once_and_raised_at_the_next_call():
         with pytest.raises(pliant.ServoTimeoutError, match=r"enable\(\) starts again"), supervisor:
             pass
     assert len(left) == 1
-    assert left[0] <= 1e-4 < usual == sys.getswitchinterval()
+    assert left[0] <= 1e-4 < interval == sys.getswitchinterval()
 
 
 def test_no_supervision_outside_a_loop_or_in_simulated_time(make, grasp):

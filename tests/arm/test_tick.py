@@ -59,8 +59,10 @@ def test_limits_equal_their_formula(supply, lead):
             goal, limit, gravity, position, other, ramp=ramp, ramp_start=ramp_start, lead=lead
         )
         # Goals are bounded by position limits and lead.
-        need, most = gravity / kp[chain], usable[chain] / kp[chain]
-        below, above = (most, most) if lead else (np.maximum(-need, 0.0), np.maximum(need, 0.0))
+        need, largest = gravity / kp[chain], usable[chain] / kp[chain]
+        below, above = (
+            (largest, largest) if lead else (np.maximum(-need, 0.0), np.maximum(need, 0.0))
+        )
         clipped = np.clip(goal, model.lower - below, model.upper + above)
         assert goals[chain] == pytest.approx(clipped, abs=1e-12)
         assert (goals[4], limits[4]) == (other[0, 0], min(other[0, 1], thermal.torque_ceiling()[4]))
@@ -110,13 +112,13 @@ def test_a_reading_updates_filter_and_heat_as_single_calls_do():
     limiter, positions, thermal = made()
     expected = PositionFilter(np.full(size, 0.5))
     suspects, heat = set(), np.zeros(size)
-    for turn in range(300):
-        now, dt = 0.01 * turn + 0.003, 0.5 * (turn % 4)
+    for cycle in range(300):
+        now, dt = 0.01 * cycle + 0.003, 0.5 * (cycle % 4)
         position = 0.1 * rng.random(size) + 2.0 * (rng.random(size) < 0.05)
         ok = rng.random(size) > 0.2
-        time = 0.01 * turn + 0.001 * rng.random(size)
-        goal, limit = rng.normal(0.0, 1.0, size), usable * (1.5 if turn > 200 else 0.1)
-        load = None if turn % 3 else rng.normal(0.0, 0.1, size)
+        time = 0.01 * cycle + 0.001 * rng.random(size)
+        goal, limit = rng.normal(0.0, 1.0, size), usable * (1.5 if cycle > 200 else 0.1)
+        load = None if cycle % 3 else rng.normal(0.0, 0.1, size)
         mask, q, age, oldest, off_chain, is_suspect = limiter.update(
             positions, position, ok, time, load,
             goal=goal, limit=limit, dt=dt, now=now, max_jumps=2, max_heat=0.9,

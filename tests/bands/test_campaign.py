@@ -15,8 +15,8 @@ POSES = range(1, 3)
 
 def tried(arm, disturbance, poses):
     bench = Bench(load(arm), disturbance)
-    places = bench.arm.poses(max(poses) + 1)
-    return [promise for pose in poses for promise in bench.promises(pose, places[pose])]
+    positions = bench.arm.poses(max(poses) + 1)
+    return [promise for pose in poses for promise in bench.promises(pose, positions[pose])]
 
 
 def ran(promises):
@@ -96,7 +96,9 @@ def test_campaign_is_one_table_one_file_one_picture(tmp_path):
 def test_a_promise_repeats():
     bench = Bench(load("koch"))
     q = bench.arm.poses(1)[0]
-    first, _, again = (bench.keep(0, q, "z", way, 0.5, guided=False) for way in (1.0, -1.0, 1.0))
+    first, _, again = (
+        bench.keep(0, q, "z", direction, 0.5, guided=False) for direction in (1.0, -1.0, 1.0)
+    )
     assert first == again
 
 

@@ -34,19 +34,19 @@ def cap_stiff(*, soft, null_space):
 
 @pytest.mark.parametrize(("scene", "grip"), CAP, ids=" ".join)
 def test_cap_opens(scene, grip):
-    least, most = CAP[scene, grip]
-    seen = doors.open_door(controllers.cap, scene, grip)
-    assert seen.angle > least
-    assert seen.force < most
+    least, largest = CAP[scene, grip]
+    result = doors.open_door(controllers.cap, scene, grip)
+    assert result.angle > least
+    assert result.force < largest
     if (scene, grip) == ("door", "rigid"):
-        assert seen.torque < 3.0  # [N·m], measured 2.1
+        assert result.torque < 3.0  # [N·m], measured 2.1
 
 
 def test_rows_free_opens_a_rigidly_gripped_door():
-    seen = doors.open_door(controllers.rows_free)
-    assert seen.angle > 60.0  # [deg], measured 66
-    assert seen.force < 60.0  # [N], measured 42
-    assert seen.torque < 6.0  # [N·m], measured 4.0
+    result = doors.open_door(controllers.rows_free)
+    assert result.angle > 60.0  # [deg], measured 66
+    assert result.force < 60.0  # [N], measured 42
+    assert result.torque < 6.0  # [N·m], measured 4.0
 
 
 def test_rec_jams_on_a_rigidly_gripped_door():
@@ -55,9 +55,9 @@ def test_rec_jams_on_a_rigidly_gripped_door():
 
 @pytest.mark.parametrize("law", [controllers.rec, controllers.rows_free], ids=["rec", "rows_free"])
 def test_jacobian_forms_open_a_door_whose_handle_turns(law):
-    seen = doors.open_door(law, "door", "turning")
-    assert seen.angle > 60.0  # [deg], measured 69
-    assert seen.force < 25.0  # [N], measured 13
+    result = doors.open_door(law, "door", "turning")
+    assert result.angle > 60.0  # [deg], measured 69
+    assert result.force < 25.0  # [N], measured 13
 
 
 def test_all_stiff_jams_and_pulls_hard():
@@ -76,9 +76,9 @@ def test_cap_without_a_soft_axis_pulls_twice_as_hard():
 @pytest.mark.parametrize("grip", ["rigid", "turning"])
 @pytest.mark.parametrize("scene", RESISTING)
 def test_cap_opens_and_closes_by_resistance(scene, grip):
-    seen = doors.open_and_close(controllers.cap, scene, grip)
-    assert len(seen.ends) == 2
-    opened, closed = seen.ends
+    result = doors.open_and_close(controllers.cap, scene, grip)
+    assert len(result.ends) == 2
+    opened, closed = result.ends
     assert opened == pytest.approx(45.0, abs=1.0)  # [deg], measured 45.1
     assert closed == pytest.approx(0.0, abs=1.0)  # [deg], measured -0.2
-    assert seen.force < 65.0  # [N], measured 53
+    assert result.force < 65.0  # [N], measured 53

@@ -52,8 +52,8 @@ def test_dither_makes_the_drag_lighter_and_costs_reversals():
 @pytest.mark.parametrize("arm", ["arm7", "so101"])
 def test_a_drag_needs_at_least_the_static_friction_of_one_joint(arm):
     case = gears.Case(arm=arm, encoder_step=gears.COUNT)
-    least = gears.bound(case)
+    smallest = gears.bound(case)
     strong = gears.bound(gears.Case(arm=arm, friction=1.3))
-    assert 1.1 * least.moves < strong.moves < 1.5 * least.moves
-    assert least.counts > 0.0
-    assert gears.drag(case, gears.REMEDIES["present law"]) > least.moves
+    assert 1.1 * smallest.moves < strong.moves < 1.5 * smallest.moves
+    assert smallest.counts > 0.0
+    assert gears.drag(case, gears.REMEDIES["present law"]) > smallest.moves

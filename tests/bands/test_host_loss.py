@@ -31,10 +31,11 @@ def test_max_host_loss_force_holds_as_reported(pose):
     settings = pliant.Settings(axes={"y": pliant.Axis(soft=5.0, firm=10.0)})
     bench = Bench(load("arm7"), settings)
     free = bench.push(pose, "y", 1.0)
-    most = free.said - 2.0  # [N]
+    largest = free.said - 2.0  # [N]
     spared = Bench(
-        load("arm7"), settings.replace(torque_limits=pliant.TorqueLimits(max_host_loss_force=most))
+        load("arm7"),
+        settings.replace(torque_limits=pliant.TorqueLimits(max_host_loss_force=largest)),
     ).push(pose, "y", 1.0)
-    assert spared.said <= most
+    assert spared.said <= largest
     assert spared.felt < free.felt - 1.0
     assert spared.allowed

@@ -50,24 +50,24 @@ CONDITIONS = {
 @pytest.mark.parametrize("loop", LOOPS)
 def test_opens_a_rigidly_gripped_door_with_the_least_force(loop):
     conditions, law, angle, force, _, _ = LOOPS[loop]
-    seen = doors.open_door(law, conditions=conditions)
-    assert seen.angle > angle
-    assert seen.force < force
-    assert seen.torque < 1.5  # [N·m], measured 1.1
+    result = doors.open_door(law, conditions=conditions)
+    assert result.angle > angle
+    assert result.force < force
+    assert result.torque < 1.5  # [N·m], measured 1.1
 
 
 def test_opens_a_door_whose_handle_turns():
-    seen = doors.open_door(controllers.impedance, "door", "turning")
-    assert seen.angle > 65.0  # [deg], measured 67.8
-    assert seen.force < 10.0  # [N], measured 7.5
+    result = doors.open_door(controllers.impedance, "door", "turning")
+    assert result.angle > 65.0  # [deg], measured 67.8
+    assert result.force < 10.0  # [N], measured 7.5
 
 
 @pytest.mark.parametrize("loop", LOOPS)
 def test_follows_a_15_newton_hand(loop):
     conditions, law, _, _, force, drift = LOOPS[loop]
-    seen = disturbances.drag(law(), DRAG_15N, conditions=conditions)
-    assert seen.force < force
-    assert seen.position < drift
+    result = disturbances.drag(law(), DRAG_15N, conditions=conditions)
+    assert result.force < force
+    assert result.position < drift
 
 
 @pytest.mark.parametrize("axis", ["x", "y", "z"])
@@ -87,8 +87,8 @@ def test_taps_ring_beyond_the_bound(loop):
 
 
 def test_a_slow_loop_with_a_tick_each_way_is_stable():
-    seen = disturbances.idle(controllers.impedance(), conditions=SLOW)
-    assert seen.speed < 0.002  # [rad/s], measured 0.0005; with the full springs 0.48
+    result = disturbances.idle(controllers.impedance(), conditions=SLOW)
+    assert result.speed < 0.002  # [rad/s], measured 0.0005; with the full springs 0.48
     dragged = disturbances.drag(controllers.impedance(), DRAG_15N, conditions=SLOW)
     assert dragged.moved > 0.2  # [m]
     assert dragged.position < 0.015  # [m]
@@ -103,8 +103,8 @@ def test_a_spring_answers_in_proportion():
 def test_the_cap_bounds_a_spring():
     axes = {"y": Axis(hold=10.0)}
     law = controllers.impedance(soft="", axes=axes)
-    seen = disturbances.drag(law)
-    assert 8.0 <= seen.held <= 12.0  # [N]
+    result = disturbances.drag(law)
+    assert 8.0 <= result.held <= 12.0  # [N]
 
 
 def test_a_damper_is_quiet():

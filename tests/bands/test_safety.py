@@ -12,9 +12,9 @@ LEAST_KEPT = 0.92  # measured 0.98
 
 @pytest.mark.parametrize("push", DEAD)
 def test_cap_leaves_little_force_when_the_host_dies(push):
-    seen = disturbances.lose_host(controllers.cap(eta=0.0), push)
-    assert seen.force < DEAD[push]
-    assert abs(seen.force - seen.formula) < 2.5  # [N], measured 1.7
+    result = disturbances.lose_host(controllers.cap(eta=0.0), push)
+    assert result.force < DEAD[push]
+    assert abs(result.force - result.formula) < 2.5  # [N], measured 1.7
 
 
 def test_cap_stands_still_when_the_host_dies():

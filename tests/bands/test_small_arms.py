@@ -23,9 +23,9 @@ def present(name):
 def test_a_step_keeps_the_tool_speed_and_stops_at_its_target(name, law, speed):
     settings = steps.settings(name, law, speed)
     for step in steps.steps(name, COUNT):
-        done = steps.run(name, step, settings)
-        assert done.fastest <= 1.2 * speed + 0.02, (step, done)
-        assert done.overshoot <= 0.005, (step, done)
+        result = steps.run(name, step, settings)
+        assert result.fastest <= 1.2 * speed + 0.02, (step, result)
+        assert result.overshoot <= 0.005, (step, result)
 
 
 @pytest.mark.parametrize("speed", steps.SPEEDS)
@@ -33,9 +33,9 @@ def test_a_vx300s_keeps_them_under_law_paper(speed):
     present("vx300s")
     settings = steps.settings("vx300s", "paper", speed)
     for step in steps.steps("vx300s", COUNT):
-        done = steps.run("vx300s", step, settings)
-        assert done.fastest <= 1.2 * speed + 0.02, (step, done)
-        assert done.overshoot <= 0.005, (step, done)
+        result = steps.run("vx300s", step, settings)
+        assert result.fastest <= 1.2 * speed + 0.02, (step, result)
+        assert result.overshoot <= 0.005, (step, result)
 
 
 @pytest.mark.parametrize("speed", steps.SPEEDS)
@@ -45,17 +45,17 @@ def test_a_vx300s_is_near_them_under_the_other_laws(law, speed):
     present("vx300s")
     settings = steps.settings("vx300s", law, speed)
     for step in steps.steps("vx300s", COUNT):
-        done = steps.run("vx300s", step, settings)
-        assert done.fastest <= 1.2 * speed + 0.04, (step, done)
-        assert done.overshoot <= 0.01, (step, done)
+        result = steps.run("vx300s", step, settings)
+        assert result.fastest <= 1.2 * speed + 0.04, (step, result)
+        assert result.overshoot <= 0.01, (step, result)
 
 
 @pytest.mark.parametrize("speed", steps.SPEEDS)
 @pytest.mark.parametrize("law", steps.LAWS)
 def test_the_step_of_the_newcomer(law, speed):
-    done = steps.run("so101", TRIED, steps.settings("so101", law, speed))
-    assert done.fastest <= 1.2 * speed + 0.02
-    assert done.overshoot <= 0.005
+    result = steps.run("so101", TRIED, steps.settings("so101", law, speed))
+    assert result.fastest <= 1.2 * speed + 0.02
+    assert result.overshoot <= 0.005
 
 
 @pytest.mark.parametrize("name", ["so101", "koch", "vx300s"])

@@ -18,16 +18,16 @@ def led(speed, axis):
     controller = pliant.Controller(model, pliant.Settings(max_tool_speed=speed))
     arm = sim.Plant(model, rate=100.0)
     arm.reset(START)
-    target, places = arm.tool, []
+    target, positions = arm.tool, []
     for tick in range(100 + round((WAY / speed + 0.5) * arm.rate)):
         if tick == 100:
             target[axis, 3] += WAY
         command = controller.step(arm.read().q, target)
         arm.write(command.goal, command.torque_limit)
         arm.advance()
-        places.append((controller.diagnostics.reference[:3, 3], arm.tool[:3, 3]))
+        positions.append((controller.diagnostics.reference[:3, 3], arm.tool[:3, 3]))
     assert abs(arm.tool[axis, 3] - target[axis, 3]) < 0.002  # [m]
-    return np.linalg.norm(np.diff(np.array(places[99:]), axis=0), axis=2).T * arm.rate
+    return np.linalg.norm(np.diff(np.array(positions[99:]), axis=0), axis=2).T * arm.rate
 
 
 @pytest.mark.parametrize("axis", range(3), ids="xyz")

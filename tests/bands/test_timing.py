@@ -39,11 +39,11 @@ COUNTS = {
 
 @pytest.mark.parametrize("bus", BUSES)
 def test_rec_at_other_rates_and_delays(bus):
-    seen = disturbances.drag(controllers.rec(), DRAG_30N, conditions=BUSES[bus])
-    assert seen.moved > 0.19  # [m]
-    assert seen.position < 0.010  # [m], measured 0.0029, 0.0042, 0.0040, 0.0016, 0.0029
-    assert metrics.speed(seen.trace, 1.0, 2.0) < 0.03  # [rad/s] at rest before
-    assert metrics.speed(seen.trace, 8.0, 9.0) < 0.03  # [rad/s] and after
+    result = disturbances.drag(controllers.rec(), DRAG_30N, conditions=BUSES[bus])
+    assert result.moved > 0.19  # [m]
+    assert result.position < 0.010  # [m], measured 0.0029, 0.0042, 0.0040, 0.0016, 0.0029
+    assert metrics.speed(result.trace, 1.0, 2.0) < 0.03  # [rad/s] at rest before
+    assert metrics.speed(result.trace, 8.0, 9.0) < 0.03  # [rad/s] and after
 
 
 @pytest.mark.parametrize("axis", ["x", "y", "z"])
@@ -55,9 +55,9 @@ def test_rec_does_not_ring_at_50_hz(axis):
 @pytest.mark.parametrize("loop", DELAYED)
 def test_cap_predicts_over_the_delay(loop):
     conditions, force, drift = DELAYED[loop]
-    seen = disturbances.drag(controllers.cap(), DRAG_15N, conditions=conditions)
-    assert seen.force < force
-    assert seen.position < drift
+    result = disturbances.drag(controllers.cap(), DRAG_15N, conditions=conditions)
+    assert result.force < force
+    assert result.position < drift
     assert doors.open_door(controllers.cap, conditions=conditions).force < 28.0  # [N], measured 21
 
 
@@ -76,10 +76,10 @@ def test_cap_with_friction_known_to_30_percent(loop, believed):
     late = sum(conditions.delay) / conditions.rate
     assumed = Parameters(friction=believed, damping=believed, delay=late)
     with Mismatch(plant=Parameters(delay=late), assumed=assumed):
-        seen = disturbances.drag(controllers.cap(), DRAG_15N, conditions=conditions)
+        result = disturbances.drag(controllers.cap(), DRAG_15N, conditions=conditions)
         door = doors.open_door(controllers.cap, conditions=conditions)
-    assert seen.force < 9.0  # [N], measured 5.3-7.3
-    assert seen.position < 0.006  # [m], measured 0.0024-0.0040
+    assert result.force < 9.0  # [N], measured 5.3-7.3
+    assert result.position < 0.006  # [m], measured 0.0024-0.0040
     assert door.force < 40.0  # [N], measured 14-31
 
 

@@ -54,8 +54,8 @@ def test_setup_asks_again_where_a_packet_is_lost(arm, tmp_path, kind, capsys):
             bus.faults.inject(kind, number, skip=skip)
     backup = tmp_path / "old.json"
     assert main(["servos", "setup", str(file), "--backup", str(backup), "--yes"]) == 0
-    asked = [fault for packet in bus.log for fault in packet.faults]
-    assert len(asked) >= 12, "packets were lost"
+    requests = [fault for packet in bus.log for fault in packet.faults]
+    assert len(requests) >= 12, "packets were lost"
     count = len(json.loads(backup.read_text())["changes"])
     assert f"{count} registers written and read back" in capsys.readouterr().out
     assert main(["servos", "setup", str(file)]) == 0
@@ -157,8 +157,8 @@ def test_run_on_the_simulator_lowers_the_arm(capsys):
 
 def test_soft_axes_that_the_task_has_not_are_answered_with_its_own(capsys):
     assert main(["run", "so101", "--backend", "sim", "--soft", "y yaw"]) == 2
-    said = capsys.readouterr().err
-    assert "--soft 'yaw': yaw is no axis of the task, which has x, y, z; task in" in said
+    stderr = capsys.readouterr().err
+    assert "--soft 'yaw': yaw is no axis of the task, which has x, y, z; task in" in stderr
 
 
 def test_run_follows_a_file(tmp_path, capsys):
@@ -224,7 +224,7 @@ def test_a_servo_gets_an_id_of_its_own(model, tmp_path, capsys, monkeypatch):
     with Emulator([Device(model, id=1), Device(model, id=2)]) as bus:
         write_arm(file, bus, model)
         setup = ["servos", "setup", str(file), "--set-id"]
-        for pair, said in [
+        for pair, message in [
             ("1", "OLD:NEW"),
             ("1:1", "the same"),
             ("1:77", "id 77 is not that of one joint"),
@@ -232,7 +232,7 @@ def test_a_servo_gets_an_id_of_its_own(model, tmp_path, capsys, monkeypatch):
             ("9:5", "no answer"),
         ]:
             assert main([*setup, pair, "--yes"]) == 2
-            assert said in capsys.readouterr().err
+            assert message in capsys.readouterr().err
         monkeypatch.setattr("builtins.input", lambda *_: "n")
         assert main([*setup, "1:5"]) == 1
         assert not bus.log.eeprom_writes()

@@ -78,7 +78,7 @@ def test_a_first_word_alone_lists_its_commands(prefix, flags, capsys):
 
 
 @pytest.mark.parametrize(
-    ("words", "meant"),
+    ("arguments", "meant"),
     [
         ("doctor so101", "servos doctor"),
         ("scna", "servos scan"),
@@ -88,8 +88,8 @@ def test_a_first_word_alone_lists_its_commands(prefix, flags, capsys):
         ("reply so101 wave.json", "replay"),
     ],
 )
-def test_an_unknown_command_gets_a_suggestion(words, meant, capsys):
-    assert main(words.split()) == 2
+def test_an_unknown_command_gets_a_suggestion(arguments, meant, capsys):
+    assert main(arguments.split()) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1
     assert f"did you mean `pliant {meant}`?" in error
@@ -134,18 +134,18 @@ def so101(tmp_path, capsys):
 
 def test_identify_gravity_moves_nothing_and_lowers_the_arm(so101, capsys, caplog):
     assert main(["identify", str(so101), "gravity", "--backend", "sim"]) == 0
-    caught = capsys.readouterr()
-    assert "do not touch the arm" in caught.out
-    assert "the check passed" in caught.out
-    assert pasted(caught.out) == {}
+    captured = capsys.readouterr()
+    assert "do not touch the arm" in captured.out
+    assert "the check passed" in captured.out
+    assert pasted(captured.out) == {}
     assert "was lowered" in caplog.text
 
 
 def test_identify_payload_prints_what_the_tool_carries(capsys, caplog):
     assert main(["identify", "so101", "payload", "--backend", "sim", "--span", "0.2"]) == 0
-    caught = capsys.readouterr()
-    assert "payload" in caught.out
-    assert set(pasted(caught.out)) <= {"payload"}
+    captured = capsys.readouterr()
+    assert "payload" in captured.out
+    assert set(pasted(captured.out)) <= {"payload"}
     assert "was lowered" in caplog.text
 
 
@@ -171,17 +171,17 @@ def test_identify_servos_prints_a_table_for_the_file(so101, capsys):
 
 
 @pytest.mark.parametrize(
-    ("flags", "said"),
+    ("flags", "message"),
     [
         (["gravity", "--span", "0.1"], "--span belongs to servos and payload"),
         (["friction"], "invalid choice"),
         (["servos", "--span", "9"], "span"),
     ],
 )
-def test_identify_refuses_before_torque_comes_on(flags, said, capsys):
+def test_identify_refuses_before_torque_comes_on(flags, message, capsys):
     assert main(["identify", "so101", *flags, "--backend", "sim"]) == 2
-    caught = capsys.readouterr()
-    assert said in caught.err
+    captured = capsys.readouterr()
+    assert message in captured.err
 
 
 @pytest.mark.parametrize("arm", ["vx300s", "mine.toml"])

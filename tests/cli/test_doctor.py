@@ -16,8 +16,8 @@ from pliant.config.factory import make_emulator
 
 
 def findings(text, folder, level="bad"):
-    read = config.parse(text, source="arm.toml", folder=folder)
-    return {f.about: f.text for f in examine(read) if f.level == level}
+    arm_config = config.parse(text, source="arm.toml", folder=folder)
+    return {f.about: f.text for f in examine(arm_config) if f.level == level}
 
 
 def so101_of(urdf):
@@ -58,8 +58,8 @@ def test_a_rest_pose_inside_the_table_is_bad(tmp_path):
 
 def test_a_gain_that_the_servo_has_not_is_said():
     with make_emulator(config.load("so101", backend="emulator"), clock="steps") as bus:
-        read = config.load("so101", port=bus.port)
-        chain = factory.make_bus(read, {"main": bus.port})
+        arm_config = config.load("so101", port=bus.port)
+        chain = factory.make_bus(arm_config, {"main": bus.port})
         chain.open()
         try:
             assert chain.gains == dict.fromkeys(chain.names, 16)
@@ -67,8 +67,8 @@ def test_a_gain_that_the_servo_has_not_is_said():
             chain.close()
     text = config.loader.builtin_text("so101").replace("id = 2, gain = 16", "id = 2, gain = 32")
     with make_emulator(config.parse(f'backend = "emulator"\n{text}')) as bus:
-        read = config.load("so101", port=bus.port)
-        said = {f.about: f.text for f in examine(read) if f.level == "note"}
+        arm_config = config.load("so101", port=bus.port)
+        said = {f.about: f.text for f in examine(arm_config) if f.level == "note"}
     assert said["shoulder_lift"].startswith("its P gain is 32, the file says 16")
     assert "shoulder_pan" not in said
 
@@ -113,16 +113,16 @@ def test_mistakes_stand_one_to_a_line(tmp_path, capsys):
     assert all(len(line) < 200 for line in lines)
 
 
-@pytest.mark.parametrize(("count", "said"), [(1, "1 problem to fix"), (2, "2 problems to fix")])
-def test_it_ends_with_the_number_of_problems(count, said, monkeypatch, capsys):
+@pytest.mark.parametrize(("count", "message"), [(1, "1 problem to fix"), (2, "2 problems to fix")])
+def test_it_ends_with_the_number_of_problems(count, message, monkeypatch, capsys):
     found = [Diagnosis("bad", "servo", "it is not there")] * count
     monkeypatch.setattr(doctor, "examine", lambda _: [Diagnosis("good", "file", "read"), *found])
     assert main(["servos", "doctor", "so101", "--backend", "sim"]) == 2
-    assert capsys.readouterr().err == f"error: not ready: {said}\n"
+    assert capsys.readouterr().err == f"error: not ready: {message}\n"
 
 
 @pytest.mark.parametrize(
-    ("supply", "said"),
+    ("supply", "message"),
     [
         (
             "voltage = 11.1",
@@ -131,12 +131,12 @@ def test_it_ends_with_the_number_of_problems(count, said, monkeypatch, capsys):
         ("current = 4.0", "supply.current: the currents of .*STS3215-7.4V.*; leave it out"),
     ],
 )
-def test_a_supply_that_does_not_fit_the_servos_is_named(supply, said, tmp_path, capsys):
+def test_a_supply_that_does_not_fit_the_servos_is_named(supply, message, tmp_path, capsys):
     name = "koch" if "voltage" in supply else "so100"
     text = re.sub(r"(?s)\[supply\]\n.*?\n\n", "", config.loader.builtin_text(name))
     file = tmp_path / "arm.toml"
     file.write_text(f"{text}\n[supply]\n{supply}\n")
     assert main(["servos", "doctor", str(file)]) == 2
-    assert re.search(said, " ".join(capsys.readouterr().err.split()))
+    assert re.search(message, " ".join(capsys.readouterr().err.split()))
     if "current" in supply:
         assert config.load(file, backend="sim").supply.current == 4.0

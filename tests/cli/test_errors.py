@@ -18,9 +18,9 @@ JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_ro
 HEAD = 'robot.builtin = "so101"\nsettings.task = "xyz"\n[[port]]\npath = "{port}"\n[servo]\n'
 
 
-def toml(port, *, joints=JOINTS, model="STS3215-7.4V", more=""):
+def toml(port, *, joints=JOINTS, model="STS3215-7.4V", extra=""):
     lines = [f'{name} = {{ model = "{model}", id = {i} }}' for i, name in enumerate(joints, 1)]
-    return HEAD.format(port=port) + "\n".join(lines) + "\n" + more
+    return HEAD.format(port=port) + "\n".join(lines) + "\n" + extra
 
 
 @pytest.fixture
@@ -46,9 +46,9 @@ def said(tmp_path, capsys):
     return ask
 
 
-def all_say(texts, *words):
+def all_say(texts, *fragments):
     for text in texts:
-        for word in words:
+        for word in fragments:
             assert word in text, text
 
 
@@ -168,12 +168,12 @@ def test_an_emulator_that_is_ended_leaves_nothing(tmp_path):
 
 def test_the_emulator_starts_first_and_reports_late_replies(monkeypatch, capsys):
     pytest.importorskip("mujoco", reason="the arm behind the bytes needs the extra sim")
-    asked = []
-    monkeypatch.setattr(os, "nice", asked.append)
+    requests = []
+    monkeypatch.setattr(os, "nice", requests.append)
     late = iter([0.001, 0.150, 0.160, *[0.350] * 1000])
     monkeypatch.setattr(Emulator, "late", property(lambda _: next(late)))
     assert main(["servos", "emulate", "so101", "--duration", "1"]) == 0
-    assert asked == [-10]
+    assert requests == [-10]
     out = " ".join(capsys.readouterr().out.split())
     assert "a reply was sent 150 ms late" in out
     assert "a reply was sent 350 ms late" in out
@@ -192,8 +192,8 @@ def test_a_typo_in_the_file(said, tmp_path):
         pliant.config.parse(typo)
     file = tmp_path / "typo.toml"
     file.write_text(typo)
-    for words in (["run", str(file)], ["servos", "doctor", str(file)]):
-        assert main(words) == 2
+    for argv in (["run", str(file)], ["servos", "doctor", str(file)]):
+        assert main(argv) == 2
 
 
 def test_a_typo_in_a_model_or_unit(tmp_path, capsys):
@@ -201,7 +201,7 @@ def test_a_typo_in_a_model_or_unit(tmp_path, capsys):
     file.write_text(toml("/dev/x", model="STS3512-7.4V"))
     assert main(["run", str(file)]) == 2
     assert "STS3215-7.4V" in capsys.readouterr().err
-    file.write_text(toml("/dev/x", more="[loop]\nrate = -5\n"))
+    file.write_text(toml("/dev/x", extra="[loop]\nrate = -5\n"))
     assert main(["run", str(file)]) == 2
     assert "loop.rate = -5" in capsys.readouterr().err
 

@@ -62,7 +62,7 @@ class Person:
         question, plant, time = self.asked[-1], self.bus.plant, self.bus.time - self.began
         if self.stop is not None and self.stop in question:
             raise KeyboardInterrupt
-        if any(words in question for words in self.skipped):
+        if any(fragment in question for fragment in self.skipped):
             return "skip\n"
         if "torque comes on" in question:
             return "\n"
@@ -106,20 +106,22 @@ def arm_of_unknown_servos(monkeypatch, folder, load=LOAD):
     simulated = config.parse(text, backend="emulator", folder=folder)
     payload = {"payload": (load, (0.0, 0.0, 0.0))}
     with factory.make_emulator(simulated, q=POSE, clock="steps", plant=payload) as bus:
-        own = config.parse(text, port=bus.port, folder=folder)
-        drive = factory.make_bus(own.model_copy(update={"loop": patient(own)}), {"main": bus.port})
+        arm_config = config.parse(text, port=bus.port, folder=folder)
+        drive = factory.make_bus(
+            arm_config.model_copy(update={"loop": patient(arm_config)}), {"main": bus.port}
+        )
         drive.clock = ManualClock(bus)
         yield (
             bus,
             Arm(
-                own.model(),
+                arm_config.model(),
                 drive,
-                rest_q=own.life.rest_q,
-                table=own.robot.table,
-                grippers=factory.gripper_configs(own),
+                rest_q=arm_config.life.rest_q,
+                table=arm_config.robot.table,
+                grippers=factory.gripper_configs(arm_config),
                 handle_signals=False,
             ),
-            own,
+            arm_config,
         )
 
 
@@ -294,7 +296,7 @@ def test_a_damaged_file_is_refused(text, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("line", "said"),
+    ("line", "message"),
     [
         ("9000\n", r"9000 g is impossible: 1 to 3059 g here, 3 × the 10 N that the servos hold"),
         ("0\n", "0 g is impossible: 1 to"),
@@ -305,14 +307,14 @@ def test_a_damaged_file_is_refused(text, tmp_path):
         ("\n", "'' is no number of grams"),
     ],
 )
-def test_an_impossible_reading_is_refused_with_its_bound(line, said):
-    with pytest.raises(pliant.ConfigError, match=said):
+def test_an_impossible_reading_is_refused_with_its_bound(line, message):
+    with pytest.raises(pliant.ConfigError, match=message):
         grams(line, MIN_READING, 3.0, 10.0)
     assert grams(" 120 g\n", MIN_READING, 3.0, 10.0) == 120.0
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("arguments", "message"),
     [
         ("servos doctor so101 --report a.json", "--report belongs to --measure"),
         ("servos doctor so101 --measure --watch", "give one"),
@@ -322,20 +324,22 @@ def test_an_impossible_reading_is_refused_with_its_bound(line, said):
         ("identify so101 servos --report a.json --backend sim", "backend 'sim' has none"),
     ],
 )
-def test_flags_are_refused_before_torque_comes_on(words, said, tmp_path, capsys, monkeypatch):
+def test_flags_are_refused_before_torque_comes_on(
+    arguments, message, tmp_path, capsys, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "old.json").write_text('{"servo": 1}')
-    assert main(words.split()) == 2
-    assert said in " ".join(capsys.readouterr().err.split())
+    assert main(arguments.split()) == 2
+    assert message in " ".join(capsys.readouterr().err.split())
     assert [file.name for file in tmp_path.iterdir()] == ["old.json"]
 
 
 def test_the_command_takes_its_answers_from_a_script(tmp_path, capsys, monkeypatch):
     path = tmp_path / "arm.json"
-    words = ["servos", "doctor", "so101", "--backend", "emulator", "--measure", "--report"]
+    argv = ["servos", "doctor", "so101", "--backend", "emulator", "--measure", "--report"]
     answers = "\nskip\n99999\nskip\nskip\nskip\nskip\n\n"
     monkeypatch.setattr("sys.stdin", io.StringIO(answers))
-    assert main([*words, str(path)]) == 0
+    assert main([*argv, str(path)]) == 0
     out = capsys.readouterr().out
     assert "99999 g is impossible" in out
     assert "drop after torque off, mm" in out

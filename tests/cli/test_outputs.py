@@ -51,7 +51,7 @@ def contents(folder):
 
 
 @pytest.mark.parametrize(
-    "words",
+    "arguments",
     [
         "teach so101 my_arm.json --calibration my_arm.json --backend sim --scripted-hand",
         "teach so101 ./my_arm.json --backend sim --scripted-hand",
@@ -68,12 +68,12 @@ def contents(folder):
         "view mine.toml --log mine.toml",
     ],
 )
-def test_no_input_and_no_other_kind_is_written_over(words, folder, capsys):
+def test_no_input_and_no_other_kind_is_written_over(arguments, folder, capsys):
     before = contents(folder)
-    assert main(words.split()) == 2
+    assert main(arguments.split()) == 2
     assert contents(folder) == before
-    said = capsys.readouterr().err
-    assert "name another file" in said or ".json" in said or ".mcap" in said
+    stderr = capsys.readouterr().err
+    assert "name another file" in stderr or ".json" in stderr or ".mcap" in stderr
 
 
 def test_pictures_and_tables_keep_to_their_kind(folder, capsys):
@@ -105,10 +105,10 @@ def test_pictures_and_tables_keep_to_their_kind(folder, capsys):
 
 
 def test_a_log_is_replaced_by_a_log_and_it_is_said(folder, capsys):
-    words = ["run", "koch", "--backend", "sim", "--duration", "0.2", "--quiet", "--log", "run.mcap"]
-    assert main(words) == 0
+    argv = ["run", "koch", "--backend", "sim", "--duration", "0.2", "--quiet", "--log", "run.mcap"]
+    assert main(argv) == 0
     assert "replaced" not in capsys.readouterr().err
-    assert main(words) == 0
+    assert main(argv) == 0
     assert "run.mcap: the log that is there will be replaced" in capsys.readouterr().err
     assert (folder / "run.mcap").read_bytes().startswith(b"\x89MCAP0")
 

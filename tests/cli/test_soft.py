@@ -13,8 +13,8 @@ SETTINGS = pliant.Settings(
 )
 
 
-def soft(words, *, holds):
-    return apply_soft(SETTINGS, words, MODEL, holds=holds, option="--soft")
+def soft(text, *, holds):
+    return apply_soft(SETTINGS, text, MODEL, holds=holds, option="--soft")
 
 
 @pytest.mark.parametrize("holds", [True, False])
@@ -22,10 +22,10 @@ def test_no_words_change_nothing(holds):
     assert soft("", holds=holds) is SETTINGS
 
 
-@pytest.mark.parametrize("words", ["y=2 z=3.5", "y=2,z=3.5", " z=3.5  y=2 "])
-def test_a_cap_is_constant_over_the_deviation(words):
+@pytest.mark.parametrize("text", ["y=2 z=3.5", "y=2,z=3.5", " z=3.5  y=2 "])
+def test_a_cap_is_constant_over_the_deviation(text):
     for holds in (True, False):
-        made = soft(words, holds=holds)
+        made = soft(text, holds=holds)
         strengths = pliant.Controller(MODEL, made).axes
         assert [strengths[name].soft for name in "yz"] == [(2.0, 2.0), (3.5, 3.5)]
         assert [made.axes[name].profile for name in "yz"] == ["constant", "constant"]
@@ -54,7 +54,7 @@ def test_everything_else_of_the_settings_is_kept():
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("text", "message"),
     [
         ("y=60", r"--soft y=60: this arm holds y with at most \S+ N; a cap is at most that"),
         ("roll", "roll is no axis of the task, which has x, y, z"),
@@ -66,13 +66,13 @@ def test_everything_else_of_the_settings_is_kept():
     ],
 )
 @pytest.mark.parametrize("holds", [True, False])
-def test_what_cannot_be_is_refused(words, said, holds):
-    with pytest.raises(pliant.ConfigError, match=said):
-        soft(words, holds=holds)
+def test_what_cannot_be_is_refused(text, message, holds):
+    with pytest.raises(pliant.ConfigError, match=message):
+        soft(text, holds=holds)
 
 
 def test_the_largest_cap_is_what_the_arm_holds():
-    most = pliant.Controller(MODEL, pliant.Settings.firm(task=TASK)).axes["y"].hold
-    assert soft(f"y={most}", holds=True).axes["y"].soft == (most, most)
+    largest = pliant.Controller(MODEL, pliant.Settings.firm(task=TASK)).axes["y"].hold
+    assert soft(f"y={largest}", holds=True).axes["y"].soft == (largest, largest)
     with pytest.raises(pliant.ConfigError, match="holds y with at most"):
-        soft(f"y={1.01 * most}", holds=True)
+        soft(f"y={1.01 * largest}", holds=True)

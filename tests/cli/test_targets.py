@@ -23,7 +23,7 @@ PORT = 20177
 
 
 @pytest.mark.parametrize(
-    ("line", "said"),
+    ("line", "message"),
     [
         ("{", "is no JSON"),
         ("[1]", "an object of"),
@@ -44,12 +44,12 @@ PORT = 20177
         ('{"wxyz": [1, 0, 0, 0], "xyzw": [0, 0, 0, 1]}', "one quaternion"),
     ],
 )
-def test_targets_that_are_none(line, said, tmp_path, capsys):
+def test_targets_that_are_none(line, message, tmp_path, capsys):
     file = tmp_path / "bad.jsonl"
     file.write_text(f'{{"position": [0.2, 0, 0.2]}}\n{line}\n')
     assert main(["run", "so101", "--backend", "sim", "--targets", str(file)]) == 2
     error = capsys.readouterr().err
-    assert said in error
+    assert message in error
     assert "line 2" in error
 
 
@@ -74,8 +74,8 @@ def test_reach_counts_from_the_first_joint_that_moves():
     model = pliant.Model.from_urdf_str(lift, locked={"lift": 1.0})
     assert np.allclose(model.reach_origin, [0.0, 0.0, 1.0])
     Target(position=(0.4, 0.0, 1.0)).check(model)
-    said = r"from turn \[m\] = 1\.5 is outside \[0, 0\.900\]: the arm reaches 0\.400 m"
-    with pytest.raises(pliant.OutOfRangeError, match=said):
+    message = r"from turn \[m\] = 1\.5 is outside \[0, 0\.900\]: the arm reaches 0\.400 m"
+    with pytest.raises(pliant.OutOfRangeError, match=message):
         Target(position=(0.0, 0.0, 2.5)).check(model)
 
 
@@ -118,9 +118,9 @@ def test_a_wrong_line_of_a_stream_is_said_and_skipped(line, pipe, capsys):
     source, write, end = pipe
     write(line)
     assert source.latest() is None
-    said = capsys.readouterr().err
-    assert said.startswith("target refused: ")
-    assert len(said) < 400
+    stderr = capsys.readouterr().err
+    assert stderr.startswith("target refused: ")
+    assert len(stderr) < 400
     write(b"\n", GOOD)
     assert source.latest() == TARGET
     assert not source.done
@@ -144,10 +144,10 @@ def test_refusals_are_said_a_few_times_a_second(pipe, capsys):
         write(b"nonsense\n")
         source.latest()
     source.__exit__()
-    said = capsys.readouterr().err.splitlines()
-    assert len(said) < 4
-    told = sum("target refused" in line for line in said)
-    left = sum(int(count) for count in re.findall(r"(\d+) more", "\n".join(said)))
+    stderr = capsys.readouterr().err.splitlines()
+    assert len(stderr) < 4
+    told = sum("target refused" in line for line in stderr)
+    left = sum(int(count) for count in re.findall(r"(\d+) more", "\n".join(stderr)))
     assert told + left == 6
 
 
@@ -157,18 +157,18 @@ def complaints(text):
 
 
 def test_a_flood_on_standard_input_does_not_hold_the_loop():
-    words = ["run", "so101", "--backend", "sim", "--quiet", "--targets", "-", "--duration", "2"]
+    argv = ["run", "so101", "--backend", "sim", "--quiet", "--targets", "-", "--duration", "2"]
     with subprocess.Popen(["yes", GOOD.decode().strip()], stdout=subprocess.PIPE) as flood:
-        done = programs.run("-m", "pliant.cli", *words, stdin=flood.stdout)
+        result = programs.run("-m", "pliant.cli", *argv, stdin=flood.stdout)
         flood.terminate()
-    assert done.returncode == 0, done.stderr
-    assert "200 ticks" in done.stdout
-    assert not complaints(done.stderr)
+    assert result.returncode == 0, result.stderr
+    assert "200 ticks" in result.stdout
+    assert not complaints(result.stderr)
 
 
 def test_a_run_ends_while_standard_input_is_open():
-    words = ["run", "so101", "--backend", "sim", "--quiet", "--targets", "-", "--duration", "0.5"]
-    with Program("-m", "pliant.cli", *words, stdin=PIPE) as running:
+    argv = ["run", "so101", "--backend", "sim", "--quiet", "--targets", "-", "--duration", "0.5"]
+    with Program("-m", "pliant.cli", *argv, stdin=PIPE) as running:
         assert running.wait(timeout=60) == 0
         assert not complaints(running.stderr.read())
 
@@ -203,9 +203,9 @@ def test_a_flood_of_datagrams_does_not_hold_a_tick():
         thread.start()
         try:
             time.sleep(0.1)
-            begun = time.monotonic()
+            start = time.monotonic()
             found = [source.latest() for _ in range(5)]
-            assert time.monotonic() - begun < 10.0
+            assert time.monotonic() - start < 10.0
             assert TARGET in found
         finally:
             over.set()
@@ -215,8 +215,8 @@ def test_a_flood_of_datagrams_does_not_hold_a_tick():
 def test_a_target_that_was_not_reached_is_said(tmp_path, capsys):
     file = tmp_path / "targets"
     file.write_bytes(GOOD)
-    words = ["run", "so101", "--backend", "sim", "--quiet", "--targets", str(file)]
-    assert main([*words, "--duration", "0.1"]) == 0
+    argv = ["run", "so101", "--backend", "sim", "--quiet", "--targets", str(file)]
+    assert main([*argv, "--duration", "0.1"]) == 0
     assert re.search(r"the tool is 1\d\d mm off its last target\n", capsys.readouterr().out)
 
 

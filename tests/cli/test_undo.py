@@ -43,9 +43,9 @@ def done(arm, capsys):
         main(["servos", "setup", str(file), "--port", bus.port, "--yes", "--backup", str(backup)])
         == 0
     )
-    said = capsys.readouterr().out
+    output = capsys.readouterr().out
     bus.log.clear()
-    return bus, file, backup, said
+    return bus, file, backup, output
 
 
 def test_the_printed_command_puts_the_values_back(done, capsys, monkeypatch):
@@ -91,7 +91,7 @@ def test_a_backup_from_before_is_still_read(done, capsys):
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         ({"joint": "nope"}, "has values of nope (id 1), which the configuration does not have"),
         ({"id": 77}, "shoulder_pan (id 77), which the configuration does not have; it has"),
@@ -109,7 +109,7 @@ def test_a_backup_from_before_is_still_read(done, capsys):
         ({"foo": 1}, "an entry has joint, id, register"),
     ],
 )
-def test_what_does_not_belong_is_refused_before_the_first_write(change, said, done, capsys):
+def test_what_does_not_belong_is_refused_before_the_first_write(change, message, done, capsys):
     bus, file, backup, _ = done
     data = json.loads(backup.read_text())
     data["changes"][0].update(change)
@@ -117,7 +117,7 @@ def test_what_does_not_belong_is_refused_before_the_first_write(change, said, do
     data["changes"].append(data["changes"].pop(0))
     backup.write_text(json.dumps(data))
     assert main(["servos", "setup", str(file), "--undo", str(backup), "--yes"]) == 2
-    assert said in capsys.readouterr().err
+    assert message in capsys.readouterr().err
     assert not bus.log.eeprom_writes()
 
 
@@ -156,8 +156,8 @@ def test_a_full_disk_leaves_no_backup_and_no_change(arm, capsys, monkeypatch):
     bus.log.clear()
     with monkeypatch.context() as patch:
         patch.setattr(Path, "write_text", write_the_start)
-        words = ["servos", "setup", str(file), "--port", bus.port, "--yes"]
-        assert main([*words, "--backup", str(backup)]) == 2
+        argv = ["servos", "setup", str(file), "--port", bus.port, "--yes"]
+        assert main([*argv, "--backup", str(backup)]) == 2
     assert f"No space left on device: '{backup}'" in capsys.readouterr().err
     assert list(backup.parent.iterdir()) == [file]
     assert bus.log.eeprom_writes() == []

@@ -29,11 +29,11 @@ def test_ways_are_those_of_finite_differences(name):
             step = 1e-5 * np.eye(model.n)[joint] * sign
             here, there = (model.forward_kinematics(p)[:3, 3] for p in (q, q + step))
             moved = (there - here) / 1e-5
-            most = int(np.argmax(np.abs(moved)))
+            largest = int(np.argmax(np.abs(moved)))
             if np.linalg.norm(moved) < 0.02:
                 assert phrase.startswith("turns in place about ")
                 continue
-            expected = "+-"[int(moved[most] < 0.0)] + "xyz"[most]
+            expected = "+-"[int(moved[largest] < 0.0)] + "xyz"[largest]
             assert phrase.startswith(f"goes {expected}"), (joint, phrase, moved)
             assert ("(down)" in phrase) == bool(-moved[2] >= 0.3 * np.linalg.norm(moved))
 
@@ -153,9 +153,9 @@ def test_the_table_names_units_and_is_not_read_as_markup():
 
     from pliant.cli.servos._joint_monitor import JointMonitor, _table
 
-    read = config.load("so101")
-    model = read.model()
-    look = JointMonitor(read, model, tuple(model.joint_names))
+    arm_config = config.load("so101")
+    model = arm_config.model()
+    look = JointMonitor(arm_config, model, tuple(model.joint_names))
     look.update(np.zeros(model.n), np.ones(model.n, dtype=bool))
     console = Console(width=140, force_terminal=True, record=True)
     console.print(_table(look))

@@ -17,7 +17,7 @@ def test_a_file_is_read_as_it_is(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("entry", "said"),
+    ("entry", "message"),
     [
         ({k: v for k, v in MOTOR.items() if k != "range_max"}, "lacks range_max"),
         ({**MOTOR, "range_mni": 3}, "did you mean 'range_min'"),
@@ -29,10 +29,10 @@ def test_a_file_is_read_as_it_is(tmp_path):
         ([], "is no table"),
     ],
 )
-def test_what_is_wrong_with_a_motor_is_named(tmp_path, entry, said):
+def test_what_is_wrong_with_a_motor_is_named(tmp_path, entry, message):
     file = tmp_path / "arm.json"
     file.write_text(json.dumps({"shoulder_pan": entry}))
-    with pytest.raises(pliant.ConfigError, match=said):
+    with pytest.raises(pliant.ConfigError, match=message):
         read_calibration(file)
 
 
@@ -65,6 +65,6 @@ def test_a_range_that_the_encoder_has_not_is_refused(tmp_path, key, count):
         'shoulder_pan = { model = "STS3215-7.4V", id = 1 }\n'
     )
     read = pliant.config.parse(text, folder=tmp_path)
-    said = rf"shoulder_pan\.{key} is {count}, and positions of STS3215-7\.4V run from 0 to 4095"
-    with pytest.raises(pliant.ConfigError, match=said):
+    message = rf"shoulder_pan\.{key} is {count}, and positions of STS3215-7\.4V run from 0 to 4095"
+    with pytest.raises(pliant.ConfigError, match=message):
         zeros(read)

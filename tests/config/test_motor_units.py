@@ -63,9 +63,9 @@ def test_zero_of_a_joint_is_the_middle_and_of_a_gripper_closed(tmp_path):
 
 
 def test_without_a_calibration_the_ranges_are_the_position_limits():
-    own = config.load("so101")
-    model = own.model()
-    units = config.motor_units(own, model, use_degrees=False)
+    arm_config = config.load("so101")
+    model = arm_config.model()
+    units = config.motor_units(arm_config, model, use_degrees=False)
     lower = [units[joint].value(low) for joint, low in zip(JOINTS, model.lower, strict=False)]
     np.testing.assert_allclose(np.abs(lower), 100.0)
     assert units["gripper"].value(0.0) == pytest.approx(0.0)
@@ -73,15 +73,15 @@ def test_without_a_calibration_the_ranges_are_the_position_limits():
 
 
 def test_a_file_without_servos_is_refused():
-    own = config.parse('backend = "sim"\nrobot.builtin = "arm7"\n')
+    arm_config = config.parse('backend = "sim"\nrobot.builtin = "arm7"\n')
     with pytest.raises(pliant.ConfigError, match=r"its servo in \[servo\]"):
-        config.motor_units(own, own.model())
+        config.motor_units(arm_config, arm_config.model())
 
 
 def test_calibrations_are_found_where_each_version_left_them(tmp_path, monkeypatch):
     monkeypatch.setenv("HF_LEROBOT_CALIBRATION", str(tmp_path))
-    for place in ("robots/so101_follower", "robots/koch_follower", "teleoperators/so_leader"):
-        (tmp_path / place).mkdir(parents=True)
+    for subfolder in ("robots/so101_follower", "robots/koch_follower", "teleoperators/so_leader"):
+        (tmp_path / subfolder).mkdir(parents=True)
     (tmp_path / "robots/so101_follower/mine.json").write_text("{}")
     (tmp_path / "teleoperators/so_leader/lead.json").write_text("{}")
     found = config.find_calibration("mine", "so101")

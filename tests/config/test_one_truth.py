@@ -104,8 +104,8 @@ def test_options_of_the_plant_do_not_change_the_assumptions():
 
 
 def test_the_gripper_of_the_simulator_has_the_servo_of_the_file():
-    own = config.load("koch", backend="sim")
-    arm = pliant.connect(own, handle_signals=False)
+    arm_config = config.load("koch", backend="sim")
+    arm = pliant.connect(arm_config, handle_signals=False)
     drive = arm.drive
     at = drive.names.index("gripper")
     servo = drive.plant.mj_model.actuator("gripper")

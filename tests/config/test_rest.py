@@ -31,9 +31,9 @@ def load(name, **options):
 
 def test_every_ready_file_has_a_rest_pose_and_a_table_or_none():
     for name in config.list_arms():
-        read = config.load(name)
-        assert read.life.rest_q is not None, name
-        assert (read.robot.table is None) == (name == "arm7"), name
+        arm_config = config.load(name)
+        assert arm_config.life.rest_q is not None, name
+        assert (arm_config.robot.table is None) == (name == "arm7"), name
 
 
 @pytest.mark.parametrize("name", [*OWN, "vx300s"])
@@ -146,10 +146,10 @@ def test_the_table_can_be_taken_away_moved_and_added_to():
     assert [felt.hand for felt in arm.drive.plant.hands] == [push]
     assert pliant.connect("arm7", **options).drive.plant.fixtures == ()
     assert bare_arm("so101", handle_signals=False).drive.plant.fixtures == ()
-    read = config.load("so101", backend="sim")
-    assert pliant.connect(read, table=False, handle_signals=False).drive.plant.fixtures == ()
-    assert pliant.connect(read, table=-0.3, handle_signals=False).table == -0.3
-    assert read.robot.table == 0.0
+    arm_config = config.load("so101", backend="sim")
+    assert pliant.connect(arm_config, table=False, handle_signals=False).drive.plant.fixtures == ()
+    assert pliant.connect(arm_config, table=-0.3, handle_signals=False).table == -0.3
+    assert arm_config.robot.table == 0.0
     with pytest.raises(pliant.ConfigError, match=r"table is a height \[m\], or False"):
         pliant.connect("so101", table=True, **options)
 
@@ -170,11 +170,13 @@ def test_an_emulated_arm_stands_on_the_table_of_its_file():
 
 
 def test_a_simulated_arm_begins_at_its_rest_pose_where_zero_is_in_the_table():
-    read = config.parse(
+    arm_config = config.parse(
         'backend = "sim"\nrobot = { builtin = "so101", table = 0.3 }\n[life]\n'
         "rest_q = [0.0, -0.3, -1.0, 0.0, 0.0]\n"
     )
-    np.testing.assert_array_equal(factory.start_pose(read, read.model()), read.life.rest_q)
+    np.testing.assert_array_equal(
+        factory.start_pose(arm_config, arm_config.model()), arm_config.life.rest_q
+    )
 
 
 def test_backend_sim_takes_the_options_of_the_simulator():

@@ -31,16 +31,16 @@ def pushed(contact, force=(0.0, 0.0, 0.0), ticks=200, *, build=Plant, tare=None)
     plant.reset(VERTICAL)
     ctl.reset(VERTICAL)
     target = arm().forward_kinematics(VERTICAL)
-    seen = []
+    records = []
     for tick in range(ticks):
         reading = plant.read().q
         if tick == tare:
             contact.tare()
-        seen.append(contact.update(reading))
+        records.append(contact.update(reading))
         command = ctl.step(reading, target)
         plant.write(command.goal, command.torque_limit)
         plant.advance()
-    return seen
+    return records
 
 
 @pytest.mark.parametrize("force", [(0.0, 0.0, 8.0), (-6.0, 0.0, 0.0), (3.0, 2.0, -5.0)])
@@ -56,9 +56,9 @@ def test_a_push_is_felt_within_the_bound(force):
 
 def test_events_come_with_their_thresholds_and_their_time():
     contact = pliant.ContactEstimator(controller(), touch={"xyz": 4.0}, stop={"z": 7.0}, **KNOWN)
-    seen = pushed(contact, (0.0, 0.0, 9.0))
-    touched = [bool(felt.touch[2]) for felt in seen]
-    stopped = [bool(felt.stop[2]) for felt in seen]
+    result = pushed(contact, (0.0, 0.0, 9.0))
+    touched = [bool(felt.touch[2]) for felt in result]
+    stopped = [bool(felt.stop[2]) for felt in result]
     assert not any(touched[:50])
     assert 50 < touched.index(True) < stopped.index(True) < 90
     assert contact.latency == pytest.approx(0.06)
@@ -81,10 +81,10 @@ def test_saturated_joints_are_named_and_the_estimate_stands():
 def test_a_tare_takes_a_wrong_stiffness_out():
     contact = pliant.ContactEstimator(controller(), kp_error=0.2, gravity_error=0.0)
     gap = Mismatch(plant=Parameters(kp=1.15), assumed=Parameters())
-    seen = pushed(contact, (0.0, 0.0, 8.0), build=gap.build, tare=45)
+    result = pushed(contact, (0.0, 0.0, 8.0), build=gap.build, tare=45)
     gap.check(contact.controller)
     assert contact.tared
-    before, after, pressed = seen[44], seen[49], seen[-1]
+    before, after, pressed = result[44], result[49], result[-1]
     assert np.abs(before.force[:3]).max() > 1.0  # [N], the estimate before the tare
     assert np.abs(after.force[:3]).max() < 0.3
     error = np.abs(pressed.force_base[:3] - (0.0, 0.0, 8.0))
@@ -127,12 +127,12 @@ def test_few_joints_look_at_the_axes_of_their_task():
 
 
 def test_events_of_the_experiment_are_those_of_the_core():
-    seen = pushed(
+    result = pushed(
         pliant.ContactEstimator(controller(), touch={"z": 5.0}, accept_thresholds=True, **KNOWN),
         (0.0, 0.0, 9.0),
     )
-    beyond = np.array([abs(felt.force[2]) > 5.0 for felt in seen])
-    assert table.events(beyond)[0] == [bool(felt.touch[2]) for felt in seen].index(True)
+    beyond = np.array([abs(felt.force[2]) > 5.0 for felt in result])
+    assert table.events(beyond)[0] == [bool(felt.touch[2]) for felt in result].index(True)
 
 
 def test_free_motion_stays_within_the_bound_and_strong_contacts_are_seen():
@@ -152,8 +152,8 @@ def test_free_motion_stays_within_the_bound_and_strong_contacts_are_seen():
 
 
 def test_a_run_repeats():
-    one, two = (Job(Case("short"), 3, 1.0).run() for _ in range(2))
-    assert (one.felt == two.felt).all()
+    first, second = (Job(Case("short"), 3, 1.0).run() for _ in range(2))
+    assert (first.felt == second.felt).all()
 
 
 @pytest.mark.full

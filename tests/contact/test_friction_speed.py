@@ -21,8 +21,8 @@ def test_residual_and_feed_forward_have_one_friction(friction_speed):
     speed = np.full(7, SPEED)
     load = model.gravity(Q) + FRICTION * np.tanh(SPEED / friction_speed)
     for _ in range(400):
-        felt = contact.update(Q, dq=speed, load=load, dt=0.01)
-    assert np.abs(felt.torque_residual).max() < 1e-3 * FRICTION
+        estimate = contact.update(Q, dq=speed, load=load, dt=0.01)
+    assert np.abs(estimate.torque_residual).max() < 1e-3 * FRICTION
 
 
 def test_a_bound_that_is_said_is_enough_when_it_is_typed():

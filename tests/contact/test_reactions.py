@@ -27,7 +27,7 @@ def controller():
     return ctl
 
 
-def moment(felt=None, **more):
+def moment(felt=None, **extra):
     fields = {
         "controller": controller(),
         "time": 0.0,
@@ -37,7 +37,7 @@ def moment(felt=None, **more):
         "target": TARGET,
         "wrench": felt or Felt(),
     }
-    return rx.TickContext(**{**fields, **more})
+    return rx.TickContext(**{**fields, **extra})
 
 
 def push(z):
@@ -57,14 +57,14 @@ def test_force_counts_beyond_threshold_and_uncertainty():
 
 
 def test_conditions_join_and_print():
-    one, other = rx.Force("z", above=8.0).for_seconds(0.05), ~rx.Deviation("xy", above=0.02)
-    assert repr(one & other) == (
+    first, second = rx.Force("z", above=8.0).for_seconds(0.05), ~rx.Deviation("xy", above=0.02)
+    assert repr(first & second) == (
         "(Force('z', above=8).for_seconds(0.05) & ~Deviation('xy', above=0.02))"
     )
-    assert eval(repr(one | other), vars(rx)) == (one | other)
+    assert eval(repr(first | second), vars(rx)) == (first | second)
     assert (rx.After(0.0) | rx.ResidualAbove()).evaluator()(push(0.0))
     with pytest.raises(TypeError, match="join conditions with &"):
-        _ = one and other
+        _ = first and second
 
 
 def test_lasting_needs_its_time_without_a_break():
@@ -120,17 +120,17 @@ def test_a_watch_refuses_what_its_arm_cannot_tell_or_do():
         rx.ReactionMonitor(few, [rx.Reaction(rx.Deviation("yaw", above=0.1), rx.Hold())])
 
 
-def watched(then, when=None, **more):
+def watched(then, when=None, **extra):
     """Run a monitor with a reaction whose condition is true from 0.1 s to 0.3 s."""
     if when is None:
         when = rx.After(0.1) & ~rx.After(0.3)
-    return rx.ReactionMonitor(controller(), [rx.Reaction(when, then, **more)])
+    return rx.ReactionMonitor(controller(), [rx.Reaction(when, then, **extra)])
 
 
-def targets(watch, ticks, wanted=TARGET):
+def targets(watch, ticks, expected=TARGET):
     out = []
     for _ in range(ticks):
-        out.append(watch.update(VERTICAL, wanted))
+        out.append(watch.update(VERTICAL, expected))
         watch.controller.step(VERTICAL, out[-1])
     return out
 
@@ -142,41 +142,41 @@ def away(x):
 
 
 def test_hold_freezes_the_target_and_gives_it_back_slowly():
-    watch, wanted = watched(rx.Hold(), clear=0.2), away(0.05)
-    seen = targets(watch, 150, wanted)
-    assert seen[5] is wanted
-    np.testing.assert_array_equal(seen[15], TARGET)
+    watch, expected = watched(rx.Hold(), clear=0.2), away(0.05)
+    sent_targets = targets(watch, 150, expected)
+    assert sent_targets[5] is expected
+    np.testing.assert_array_equal(sent_targets[15], TARGET)
     assert [line.what for line in watch.log] == ["began", "ended"]
     assert watch.log[1].time == pytest.approx(0.50, abs=0.011)
-    back = np.diff([pose[0, 3] for pose in seen[52:100]])
+    back = np.diff([pose[0, 3] for pose in sent_targets[52:100]])
     assert back.max() <= 0.1 * 0.01 + 1e-12
     assert back.min() >= 0.0
-    assert seen[-1] is wanted
+    assert sent_targets[-1] is expected
 
 
 def test_stop_stays_until_it_is_resumed():
-    watch, wanted = watched(rx.Stop()), away(0.05)
-    targets(watch, 100, wanted)
+    watch, expected = watched(rx.Stop()), away(0.05)
+    targets(watch, 100, expected)
     assert watch.stopped
     watch.resume()
-    targets(watch, 1, wanted)
+    targets(watch, 1, expected)
     assert not watch.stopped
     assert watch.resuming
 
 
 def test_retract_leaves_along_its_direction_and_stays():
     watch = watched(rx.Retract(0.04, speed=0.2, along=(0.0, 0.0, 2.0)))
-    seen = targets(watch, 60)
-    assert np.diff([pose[2, 3] for pose in seen]).max() <= 0.2 * 0.01 + 1e-12
-    assert seen[-1][2, 3] - TARGET[2, 3] == pytest.approx(0.04)
-    np.testing.assert_array_equal(seen[-1][:3, :3], TARGET[:3, :3])
+    sent_targets = targets(watch, 60)
+    assert np.diff([pose[2, 3] for pose in sent_targets]).max() <= 0.2 * 0.01 + 1e-12
+    assert sent_targets[-1][2, 3] - TARGET[2, 3] == pytest.approx(0.04)
+    np.testing.assert_array_equal(sent_targets[-1][:3, :3], TARGET[:3, :3])
 
 
 def test_follow_keeps_the_target_on_a_leash():
     when = rx.After(0.05)
     watch = watched(rx.Follow("x", 0.02), when)
-    seen = targets(watch, 20, away(0.1))
-    assert seen[-1][0, 3] - TARGET[0, 3] == pytest.approx(0.02)
+    sent_targets = targets(watch, 20, away(0.1))
+    assert sent_targets[-1][0, 3] - TARGET[0, 3] == pytest.approx(0.02)
     targets(watch, 2, away(0.01))
     assert watch.active is None
 

@@ -36,10 +36,10 @@ def quick_demo(tmp_path_factory):
     """
     folder = tmp_path_factory.mktemp("demo")
     demo = runner(folder, "experiments.demo", PYTHONPATH=search_path())
-    done = demo("--quick", "--out", "here")
-    assert done.returncode == 0, done.stderr
+    result = demo("--quick", "--out", "here")
+    assert result.returncode == 0, result.stderr
     out = folder / "here"
-    return out, done, json.loads((out / "results.json").read_text(encoding="utf-8"))
+    return out, result, json.loads((out / "results.json").read_text(encoding="utf-8"))
 
 
 def runner(folder, module, **always):

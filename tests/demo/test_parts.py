@@ -49,11 +49,11 @@ def test_lists_read_well():
 
 @pytest.mark.parametrize("count", [1, 2])
 def test_outcomes_keep_the_order_of_the_jobs(count):
-    seen = []
+    records = []
     jobs = [Job(str(k), pow, (k, 2)) for k in range(6)]
-    outcomes = run_by_key(jobs, count, progress=seen.append)
+    outcomes = run_by_key(jobs, count, progress=records.append)
     assert list(outcomes.items()) == [(str(k), k * k) for k in range(6)]
-    assert sorted(seen) == sorted(outcomes)
+    assert sorted(records) == sorted(outcomes)
 
 
 @pytest.mark.parametrize("count", [1, 2])

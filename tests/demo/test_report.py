@@ -102,8 +102,8 @@ def test_quick_demo_leaves_a_report_that_needs_nothing(quick_demo):
 def test_processes_do_not_change_a_digit(demo_command, quick_demo, tmp_path):
     """Compare experiment 2 run in one process with the whole demo, which uses two processes."""
     two, _, saved = quick_demo
-    done = demo_command("--quick", "--only", "2", "--jobs", "1", "--out", "1")
-    assert done.returncode == 0, done.stderr
+    result = demo_command("--quick", "--only", "2", "--jobs", "1", "--out", "1")
+    assert result.returncode == 0, result.stderr
     one = json.loads((tmp_path / "1" / "results.json").read_text(encoding="utf-8"))
     second = {"2": saved["experiments"]["2"]}
     assert json.dumps(one) == json.dumps(saved | {"experiments": second})
@@ -115,16 +115,16 @@ def test_processes_do_not_change_a_digit(demo_command, quick_demo, tmp_path):
 
 def test_a_machine_that_cannot_draw_gets_a_report_without_pictures(demo_command, tmp_path):
     args = ("--quick", "--only", "1", "--jobs", "1", "--out", "here")
-    done = demo_command(*args, MUJOCO_GL="disable")
-    _, text = check_folder(tmp_path / "here", done)
+    result = demo_command(*args, MUJOCO_GL="disable")
+    _, text = check_folder(tmp_path / "here", result)
     assert "data:image/" not in text
 
 
 # By default one of the two arms is tested: both have five joints and run the same experiments.
 @pytest.mark.parametrize("robot", ["so101", pytest.param("koch", marks=pytest.mark.full)])
 def test_quick_demo_of_a_small_arm(demo_command, tmp_path, robot):
-    done = demo_command("--quick", "--robot", robot, "--out", "here")
-    content, _ = check_folder(tmp_path / "here", done)
+    result = demo_command("--quick", "--robot", robot, "--out", "here")
+    content, _ = check_folder(tmp_path / "here", result)
     assert content["robot"] == robot
     assert content["experiments"]["2"]["numbers"]["soft_axis"] == "y"
 
@@ -150,6 +150,6 @@ def test_quick_demo_of_a_urdf(demo_command, tmp_path, robot):
     urdf, base, tip = robot
     args = ["--urdf", str(urdf), "--base", base, "--tip", tip]
     args += ["--only", "2", "--jobs", "1", "--out", "here"]
-    done = demo_command("--quick", *args)
-    _, text = check_folder(tmp_path / "here", done)
+    result = demo_command("--quick", *args)
+    _, text = check_folder(tmp_path / "here", result)
     assert "guessed from the effort" in text

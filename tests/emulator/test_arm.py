@@ -68,14 +68,14 @@ def test_sign_zero_and_gear_turn_the_counts():
         ),
     }
     per_rad = 4096 / (2 * np.pi)
-    got = counts(so101(mounts(**changed)))[:4]
+    result = counts(so101(mounts(**changed)))[:4]
     expected = [
         2048 - 0.2 * per_rad,
         1000 + 0.3 * per_rad,
         2048 + 0.8 * per_rad,
         1500 + 0.1 * per_rad,
     ]
-    assert np.abs(got - expected).max() <= 0.5
+    assert np.abs(result - expected).max() <= 0.5
 
 
 def test_without_torque_the_arm_falls_and_with_it_stays():
@@ -108,12 +108,12 @@ def test_the_limit_in_the_register_is_the_limit_in_the_plant():
     stall = emulator.servo(1).stall
     far = counts(emulator) + 500
     hold(emulator, 200, far)
-    most = np.zeros(5)
+    largest = np.zeros(5)
     for _ in range(50):
         emulator.world.advance(0.01)
-        most = np.maximum(most, np.abs(emulator.plant.torque))
-    assert most.max() <= 0.2 * stall + 1e-9
-    assert most.max() == pytest.approx(0.2 * stall), "a far goal uses all of it"
+        largest = np.maximum(largest, np.abs(emulator.plant.torque))
+    assert largest.max() <= 0.2 * stall + 1e-9
+    assert largest.max() == pytest.approx(0.2 * stall), "a far goal uses all of it"
 
 
 def test_load_and_current_come_from_the_plant():
@@ -140,19 +140,19 @@ def test_gripper_off_the_chain_moves():
 def test_two_servos_share_a_joint_and_its_torque():
     pair = Mount(joint=NAMES[1], model="STS3215", id=2, secondary=(7, -1))
     emulator = so101(mounts(**{NAMES[1]: pair}))
-    one, other = emulator.servo(2), emulator.servo(7)
-    assert one.position - 2048 == 2048 - other.position
-    for servo in (one, other):
+    first, second = emulator.servo(2), emulator.servo(7)
+    assert first.position - 2048 == 2048 - second.position
+    for servo in (first, second):
         servo.put("torque_enable", 1)
     emulator.world.advance(0.5)
     assert emulator.plant.q[1] == pytest.approx(POSE[1], abs=0.06)
-    assert one.shaft.torque == pytest.approx(-other.shaft.torque)
+    assert first.shaft.torque == pytest.approx(-second.shaft.torque)
     limit = emulator.plant.mj_model.actuator(NAMES[1]).forcerange[1]
-    assert limit == pytest.approx(2 * 0.97 * one.stall)
-    other.power_up()
+    assert limit == pytest.approx(2 * 0.97 * first.stall)
+    second.power_up()
     emulator.world.advance(0.05)
     limit = emulator.plant.mj_model.actuator(NAMES[1]).forcerange[1]
-    assert limit == pytest.approx(0.97 * one.stall)
+    assert limit == pytest.approx(0.97 * first.stall)
 
 
 def test_an_arm_of_current_limited_servos_holds_and_its_watchdog_stops_it():
@@ -196,7 +196,7 @@ def test_a_run_repeats_bit_for_bit():
 
 
 @pytest.mark.parametrize(
-    ("make", "words"),
+    ("make", "message"),
     [
         (lambda: so101(mounts()[1:]), "no servo is mounted on shoulder_pan"),
         (lambda: so101([*mounts(), Mount(joint="nose", model="MX-28", id=9)]), "no such joint"),
@@ -209,6 +209,6 @@ def test_a_run_repeats_bit_for_bit():
         (lambda: Mount(joint="x", model="MX-28", id=1, gear_ratio=0.0), "gear_ratio"),
     ],
 )
-def test_errors(make, words):
-    with pytest.raises(ConfigError, match=words):
+def test_errors(make, message):
+    with pytest.raises(ConfigError, match=message):
         make()

@@ -51,12 +51,12 @@ def test_steps_stand_still_without_advance():
 def test_runs_repeat_bit_for_bit():
     def run():
         with sts(2) as emulator, Host(emulator.port) as host:
-            got = []
+            result = []
             for k in range(30):
                 os.write(host.fd, p1(0xFE, 3, 42, *two(2048 + 10 * k)))
                 emulator.advance(0.013)
-                got.append(host.ask(p1(0xFE, 0x82, 56, 8, 1, 2), 28))
-            return got
+                result.append(host.ask(p1(0xFE, 0x82, 56, 8, 1, 2), 28))
+            return result
 
     assert run() == run()
 
@@ -194,11 +194,11 @@ def test_two_ports_share_a_clock():
 
 def test_log_is_bounded_and_decodes():
     with sts(log=10) as emulator, Host(emulator.port) as host:
-        seen = []
-        emulator.log.watch = seen.append
+        records = []
+        emulator.log.watch = records.append
         for _ in range(30):
             host.ask(p1(1, 1), 6)
-        assert (len(emulator.log), emulator.log.count, len(seen)) == (10, 30, 30)
+        assert (len(emulator.log), emulator.log.count, len(records)) == (10, 30, 30)
         host.ask(p1(1, 3, 48, *two(300)), 6)
         host.ask(p1(1, 3, 42, *two(2048)), 6)
         host.ask(p1(1, 3, 40, 1), 6)
@@ -213,7 +213,7 @@ def test_log_is_bounded_and_decodes():
 
 
 @pytest.mark.parametrize(
-    ("make", "words"),
+    ("make", "message"),
     [
         (lambda: Emulator([]), "at least one"),
         (lambda: sts(clock="none"), "clock"),
@@ -227,8 +227,8 @@ def test_log_is_bounded_and_decodes():
         (lambda: sts().trip(1, "boredom"), "overload, heat, voltage"),
     ],
 )
-def test_errors(make, words):
-    with pytest.raises(ConfigError, match=words):
+def test_errors(make, message):
+    with pytest.raises(ConfigError, match=message):
         make()
 
 

@@ -70,9 +70,9 @@ def test_wrong_id_has_a_checksum_that_fits():
     answer = ask(line, p1(1, 1))
     assert answer[2] == 2
     assert ~sum(answer[2:-1]) & 0xFF == answer[-1]
-    made = wire(Device("XL430-W250", 1), faults=faults)
+    serial_line = wire(Device("XL430-W250", 1), faults=faults)
     faults.inject("wrong_id", 1)
-    answer = ask(made, packet_2(1, 1))
+    answer = ask(serial_line, packet_2(1, 1))
     assert answer[4] == 2
     assert crc16(answer[:-2]).to_bytes(2, "little") == answer[-2:]
 
@@ -95,7 +95,7 @@ def test_chance_can_be_set_while_it_runs():
 
 
 @pytest.mark.parametrize(
-    ("make", "words"),
+    ("make", "message"),
     [
         (lambda: Faults(loss=0.1), "no fault 'loss'; there are deaf, lose"),
         (lambda: Faults(lose=1.5), "share of 'lose'"),
@@ -103,8 +103,8 @@ def test_chance_can_be_set_while_it_runs():
         (lambda: Faults().inject("lose", count=-1), "count and skip"),
     ],
 )
-def test_errors(make, words):
-    with pytest.raises(ConfigError, match=words):
+def test_errors(make, message):
+    with pytest.raises(ConfigError, match=message):
         make()
 
 
@@ -113,8 +113,8 @@ def test_two_servos_on_one_id_spoil_each_other():
     answer = ask(line, p1(1, 1))
     assert answer[:2] == b"\xff\xff"
     assert ~sum(answer[2:-1]) & 0xFF != answer[-1]
-    made = wire(Device("XL430-W250", 1), Device("XL430-W250", 1))
-    answer = ask(made, packet_2(1, 1))
+    serial_line = wire(Device("XL430-W250", 1), Device("XL430-W250", 1))
+    answer = ask(serial_line, packet_2(1, 1))
     assert crc16(answer[:-2]).to_bytes(2, "little") != answer[-2:]
 
 
@@ -143,8 +143,8 @@ def test_requests_may_come_in_pieces_and_behind_rubbish(cut):
     line, _ = bus()
     request = b"\x00\xff\x13" + p1(1, 1) + b"\xff\xff" + p1(2, 1)
     pieces = [request[k : k + cut] for k in range(0, len(request), cut)]
-    got = b"".join(d.data for piece in pieces for d in line.feed(piece, BAUD))
-    assert got == p1(1, 0) + p1(2, 0)
+    result = b"".join(d.data for piece in pieces for d in line.feed(piece, BAUD))
+    assert result == p1(1, 0) + p1(2, 0)
 
 
 def test_one_stream_of_two_protocols():

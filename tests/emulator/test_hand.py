@@ -20,8 +20,10 @@ NAMES = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_rol
 
 @pytest.fixture
 def so101():
-    read = config.load("so101", backend="emulator")
-    return read.model_copy(update={"robot": read.robot.model_copy(update={"table": None})})
+    arm_config = config.load("so101", backend="emulator")
+    return arm_config.model_copy(
+        update={"robot": arm_config.robot.model_copy(update={"table": None})}
+    )
 
 
 def moved(own, motion, seconds, every=0.1):

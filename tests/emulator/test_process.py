@@ -14,8 +14,8 @@ from pliant.emulator import Device, Emulator, EmulatorProcess
 
 @pytest.fixture(scope="module")
 def remote():
-    with EmulatorProcess(Emulator, [Device("STS3215", 1)], clock="steps") as made:
-        yield made
+    with EmulatorProcess(Emulator, [Device("STS3215", 1)], clock="steps") as emulator:
+        yield emulator
 
 
 def test_answers_and_takes_orders(remote):
@@ -45,13 +45,13 @@ def test_a_missing_extra_is_said_in_its_own_words():
 
 
 def test_killed_it_hangs_up():
-    made = EmulatorProcess(Emulator, [Device("STS3215", 1)])
-    folder = Path(made.port).parent
-    with Host(made.port) as host:
-        made.kill()
+    emulator = EmulatorProcess(Emulator, [Device("STS3215", 1)])
+    folder = Path(emulator.port).parent
+    with Host(emulator.port) as host:
+        emulator.kill()
         with pytest.raises(OSError, match="Input/output"):
             os.write(host.fd, b"x")
     with pytest.raises(ServoError, match="gone"):
-        made.call("time")
-    made.stop()
+        emulator.call("time")
+    emulator.stop()
     assert not folder.exists()

@@ -21,11 +21,11 @@ def afloat(arm, pose, kp):
     ("arm", "pose", "kp"), [("arm7", 1, 0.5), ("arm7", 2, 2.0), ("so101", 0, 1.0)]
 )
 def test_an_untouched_arm_stays_and_can_be_guided(arm, pose, kp):
-    seen = afloat(arm, pose, kp)
-    assert seen.idle < 2e-3
-    assert seen.force < (12.0 if arm == "arm7" else 2.0)
-    assert seen.led > 0.04
-    assert seen.later < 4e-3
+    result = afloat(arm, pose, kp)
+    assert result.idle < 2e-3
+    assert result.force < (12.0 if arm == "arm7" else 2.0)
+    assert result.led > 0.04
+    assert result.later < 4e-3
 
 
 @pytest.mark.full

@@ -120,9 +120,9 @@ def test_bad_arguments_are_refused_before_anything_moves():
     plant.reset(experiment.STARTS["so101"])
     with pytest.raises(pliant.OutOfRangeError, match="shoulder_pan would move"):
         identify.identify_servos(plant, model, poses=outside)
-    bare = pliant.Model.from_urdf_str(BARE, base="a", tip="b")
+    bare_model = pliant.Model.from_urdf_str(BARE, base="a", tip="b")
     with pytest.raises(pliant.ConfigError, match="servo table"):
-        identify.identify_servos.procedure(bare)
+        identify.identify_servos.procedure(bare_model)
 
 
 BARE = """<robot name="r"><link name="a"/><link name="b"><inertial><mass value="1"/>

@@ -12,8 +12,8 @@ from pliant.identify._segments import first_moments, payload_rows
 
 def test_rows_are_what_a_payload_adds_to_gravity(arm, grasp):
     mass, com = 0.37, (0.03, -0.05, 0.11)
-    loaded = robots.arm7(payload=(mass, com))
-    added = loaded.gravity(grasp) - arm.gravity(grasp)
+    loaded_model = robots.arm7(payload=(mass, com))
+    added = loaded_model.gravity(grasp) - arm.gravity(grasp)
     rows = payload_rows(arm, grasp) @ first_moments(mass, com)
     np.testing.assert_allclose(rows, added, atol=1e-12)
 
@@ -32,9 +32,14 @@ def weighed(name, seed):
     task = "xyz rpy" if model.n > 5 else "xyz"
     controller = pliant.Controller(model, pliant.Settings(task=task), table)
     gap.check(controller)
-    found = identify.estimate_payload(plant, controller)
+    estimate = identify.estimate_payload(plant, controller)
     truth = first_moments(mass, com)
-    return (found.moments - truth) / np.sqrt(np.diag(found.covariance)), found, mass, controller
+    return (
+        (estimate.moments - truth) / np.sqrt(np.diag(estimate.covariance)),
+        estimate,
+        mass,
+        controller,
+    )
 
 
 @pytest.mark.parametrize("name", ["arm7", "so101", "koch"])
@@ -66,8 +71,8 @@ def test_poses_without_information_are_reported():
     plant.reset(STARTS["so101"])
     controller = pliant.Controller(model, pliant.Settings(task="xyz"), model.servos)
     gap.check(controller)
-    found = identify.estimate_payload(plant, controller, poses=1)
-    weak = [text for text in found.summary() if "cannot be told" in text]
-    assert (found.separated < 0.5).sum() >= 1
+    estimate = identify.estimate_payload(plant, controller, poses=1)
+    weak = [text for text in estimate.summary() if "cannot be told" in text]
+    assert (estimate.separated < 0.5).sum() >= 1
     assert len(weak) == 1
     assert "span" in weak[0]

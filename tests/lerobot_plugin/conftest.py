@@ -22,11 +22,11 @@ OURS = ("lerobot", "draccus", "lerobot_robot_pliant", "lerobot_teleoperator_wave
 def plugin(tmp_path_factory):
     """Import the plugin; LeRobot's folder is a temporary one."""
     home = tmp_path_factory.mktemp("lerobot")
-    places = [str(ROOT), str(ROOT / "tests")]
+    folders = [str(ROOT), str(ROOT / "tests")]
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("HF_LEROBOT_HOME", str(home))
         patch.setenv("HF_LEROBOT_CALIBRATION", str(home / "calibration"))
-        patch.setattr(sys, "path", [*places, *sys.path])
+        patch.setattr(sys, "path", [*folders, *sys.path])
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             try:

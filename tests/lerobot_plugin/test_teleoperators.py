@@ -31,10 +31,10 @@ def leader(plugin):
 
 def fastest(leader, seconds):
     """Return the largest joint speed [rad/s] during `seconds` of simulated time."""
-    plant, places = plant_of(leader), []
-    wait_for(lambda: places.append((plant.time, plant.q.copy())), seconds)
-    times = np.array([time for time, _ in places])
-    moved = np.abs(np.diff([q for _, q in places], axis=0)).max(axis=1)
+    plant, positions = plant_of(leader), []
+    wait_for(lambda: positions.append((plant.time, plant.q.copy())), seconds)
+    times = np.array([time for time, _ in positions])
+    moved = np.abs(np.diff([q for _, q in positions], axis=0)).max(axis=1)
     late = np.diff(times) > 0.005
     return float((moved[late] / np.diff(times)[late]).max())
 

@@ -106,15 +106,15 @@ def test_a_cut_log_is_replayed_up_to_there_and_a_damaged_one_is_not(
 ):
     monkeypatch.setattr("sys.stdin", io.StringIO())
     content, _ = made
-    words = ["replay", "so101", str(damaged(content[: 3 * len(content) // 4])), "--backend", "sim"]
-    assert main(words) == 0
+    argv = ["replay", "so101", str(damaged(content[: 3 * len(content) // 4])), "--backend", "sim"]
+    assert main(argv) == 0
     out = capsys.readouterr().out
     assert "was cut short: it is played up to" in out
     assert "played 1 time in" in out
     broken = bytearray(content)
     broken[3 * len(content) // 4] ^= 255
     path = damaged(broken)
-    assert main(words) == 2
+    assert main(argv) == 2
     assert "the log is damaged and is not played: the record at byte" in capsys.readouterr().err
     with pytest.raises(pliant.ConfigError, match="is damaged"):
         Motion.load(path)

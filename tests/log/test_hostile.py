@@ -154,17 +154,17 @@ def test_a_chunk_that_unpacks_to_too_much_is_refused(content, gigabytes, tmp_pat
         left -= min(left, len(block))
     data = b"".join([*packed, zeros.flush()])
 
-    for said in (size, 1000):
+    for declared_size in (size, 1000):
         first = []
 
-        def change(kind, body, said=said, first=first):
+        def change(kind, body, declared_size=declared_size, first=first):
             if kind != CHUNK or first:
                 return body
             first.append(1)
             name = b"zstd"
             return (
                 body[:16]
-                + struct.pack("<QI", said, 0)
+                + struct.pack("<QI", declared_size, 0)
                 + struct.pack("<I", len(name))
                 + name
                 + struct.pack("<Q", len(data))
@@ -182,10 +182,10 @@ def test_notes_are_plain_text(content, tmp_path, capsys):
     path = tmp_path / "run.mcap"
     path.write_bytes(content)
     assert main(["log", "info", str(path)]) == 0
-    said = capsys.readouterr().out
-    assert "[/x] [the]" in said
-    assert "\x1b" not in said
-    assert "\x07" not in said
+    output = capsys.readouterr().out
+    assert "[/x] [the]" in output
+    assert "\x1b" not in output
+    assert "\x07" not in output
     assert printable("a\x9bb\tc\u202ed") == "a�b\tc�d"
 
 

@@ -32,22 +32,22 @@ def record(path, ticks=40, **options):
         loop = pliant.Loop(arm, made, duration=ticks / 100.0, recorder=recorder)
         controller = loop.controller
         for tick in loop:
-            given = {"dt": tick.dt} if tick.index % 2 else {}
+            arguments = {"dt": tick.dt} if tick.index % 2 else {}
             if tick.index == 10:
                 controller.update(settings.replace(axes={"x": pliant.Axis(soft=3.0)}))
                 controller.set_payload(0.1, [0.0, 0.0, 0.05])
                 controller.set_gravity([0.1, 0.0, -9.8])
                 controller.set_delay(0.013)
             if tick.index > 15:
-                given["dq"] = 0.01 * np.sin(np.arange(7) + tick.index)
-                given["gradient"] = np.full(7, 0.1)
+                arguments["dq"] = 0.01 * np.sin(np.arange(7) + tick.index)
+                arguments["gradient"] = np.full(7, 0.1)
             if tick.index > 20:
-                given["twist"] = [0.0, 0.02, 0.0, 0.0, 0.0, 0.1]
+                arguments["twist"] = [0.0, 0.02, 0.0, 0.0, 0.0, 0.1]
             if tick.index == 30:
-                command = controller.step_joints(tick.q, tick.q + 0.01, **given)
+                command = controller.step_joints(tick.q, tick.q + 0.01, **arguments)
             else:
                 target = pliant.Pose(pose) if tick.index == 5 else pose
-                command = controller.step(tick.q, target, **given)
+                command = controller.step(tick.q, target, **arguments)
             tick.write(command)
         assert recorder.dropped == 0
     return read(path)
@@ -72,19 +72,19 @@ def test_the_same_inputs_give_the_same_commands(file):
     np.testing.assert_array_equal(again.goal[1:], log.goal)
 
 
-@pytest.mark.parametrize("what", ["dt", "dq", "twist", "gradient", "target", "call"])
-def test_every_input_counts(file, what):
+@pytest.mark.parametrize("description", ["dt", "dq", "twist", "gradient", "target", "call"])
+def test_every_input_counts(file, description):
     log = read(file)
-    if what == "call":
+    if description == "call":
         log.calls = [call for call in log.calls if call.what != "update"]
-    elif what == "dt":
+    elif description == "dt":
         # Change dt in all calls: a single step with dq may give the same command without it.
         for call in log.calls:
             if call.what == "step" and np.isfinite(call.dt):
                 call.dt *= 1.01
     else:
         call = next(c for c in log.calls if c.what == "step" and c.sequence > 30)
-        getattr(call, what)[3] += 1e-3
+        getattr(call, description)[3] += 1e-3
     assert verify(log).differing > 0
 
 
@@ -172,8 +172,8 @@ def wait_for(condition):
 @pytest.mark.parametrize("both", [False, True], ids=["the program", "program and writer"])
 def test_a_killed_run_can_be_read(tmp_path, both):
     path = tmp_path / "killed.mcap"
-    here = Path(__file__).parent
-    found = os.pathsep.join((os.environ.get("PYTHONPATH", ""), str(here), str(here.parent)))
+    folder = Path(__file__).parent
+    found = os.pathsep.join((os.environ.get("PYTHONPATH", ""), str(folder), str(folder.parent)))
     environment = {**os.environ, "PYTHONPATH": found}
     with subprocess.Popen(
         [sys.executable, "-c", LOOP, str(path)], stdout=subprocess.PIPE, text=True, env=environment
@@ -194,9 +194,9 @@ def test_a_killed_run_can_be_read(tmp_path, both):
 
 def test_a_writer_that_is_gone_does_not_stop_the_loop(tmp_path):
     with bare_arm("arm7", q=START) as arm:
-        made = pliant.Controller(arm.model, pliant.Settings.soft("y"), arm.servos)
+        controller = pliant.Controller(arm.model, pliant.Settings.soft("y"), arm.servos)
         recorder = Recorder(tmp_path / "gone.mcap")
-        loop = pliant.Loop(arm, made, duration=0.1, recorder=recorder)
+        loop = pliant.Loop(arm, controller, duration=0.1, recorder=recorder)
         recorder._process.kill()
         recorder._process.wait()
         pose = arm.model.forward_kinematics(arm.read().q)
@@ -270,10 +270,10 @@ def test_hand_guiding_is_logged_without_a_controller(tmp_path):
 
 def test_what_cannot_be_a_log_is_said(tmp_path):
     with bare_arm("arm7", q=START) as arm:
-        made = pliant.Controller(arm.model, pliant.Settings.soft("y"), arm.servos)
-        made.step(START, arm.model.forward_kinematics(START))
+        controller = pliant.Controller(arm.model, pliant.Settings.soft("y"), arm.servos)
+        controller.step(START, arm.model.forward_kinematics(START))
         with pytest.raises(pliant.ConfigError, match="has made steps"):
-            pliant.Loop(arm, made, recorder=Recorder(tmp_path / "late.mcap"))
+            pliant.Loop(arm, controller, recorder=Recorder(tmp_path / "late.mcap"))
     assert not (tmp_path / "late.mcap").exists()
     (tmp_path / "none.mcap").write_bytes(b"no log")
     with pytest.raises(pliant.ConfigError, match="no log"):

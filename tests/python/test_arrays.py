@@ -232,10 +232,10 @@ def test_wrong_shapes_name_argument_shape_and_expectation(name, good, call, bad)
 def test_numbers_that_are_none_are_refused_by_name(name, good, call, bad):
     value = np.array(good)
     value[(-1,) * good.ndim if name not in {"target", "actual"} else (0, 3)] = bad
-    with pytest.raises(pliant.OutOfRangeError) as caught:
+    with pytest.raises(pliant.OutOfRangeError) as error:
         call(value)
-    assert caught.value.value is not None
-    assert not np.isfinite(caught.value.value)
+    assert error.value.value is not None
+    assert not np.isfinite(error.value.value)
 
 
 @each_argument

@@ -100,10 +100,10 @@ FORMS = {
 def test_other_forms_of_arrays_give_the_same_bits(model, form):
     controller = pliant.Controller(model, LAWS["cap"])
     q, targets = arms(model, 9)
-    want = controller.step_batch(q, targets, dq=0.1 * q)
+    expected = controller.step_batch(q, targets, dq=0.1 * q)
     make = FORMS[form]
-    got = controller.step_batch(make(q), make(targets), dq=make(0.1 * q))
-    assert all(getattr(got, f).tobytes() == getattr(want, f).tobytes() for f in FIELDS)
+    result = controller.step_batch(make(q), make(targets), dq=make(0.1 * q))
+    assert all(getattr(result, f).tobytes() == getattr(expected, f).tobytes() for f in FIELDS)
     single = q.astype(np.float32)
     wide = controller.step_batch(single.astype(float), targets)
     assert np.array_equal(controller.step_batch(single, targets).goal, wide.goal)
@@ -113,9 +113,9 @@ def test_one_target_for_all_in_every_form_that_a_step_takes(model):
     controller = pliant.Controller(model, LAWS["cap"])
     q, targets = arms(model, 4)
     one = targets[2].copy()
-    want = controller.step_batch(q, np.stack([one] * 4)).goal
+    expected = controller.step_batch(q, np.stack([one] * 4)).goal
     for form in (one, one.tolist(), pliant.Pose(one), np.asfortranarray(one)):
-        assert np.array_equal(controller.step_batch(q, form).goal, want)
+        assert np.array_equal(controller.step_batch(q, form).goal, expected)
     poses = [pliant.Pose(target) for target in targets]
     assert np.array_equal(
         controller.step_batch(q, poses).goal, controller.step_batch(q, targets).goal
@@ -126,11 +126,11 @@ def test_positions_alone_where_no_rotation_is_controlled(model):
     lateral = pliant.Controller(model, pliant.Settings(task=pliant.Task(axes="xyz")))
     q, targets = arms(model, 4)
     positions = targets[:, :3, 3]
-    turned = targets.copy()
-    turned[:, :3, :3] = np.eye(3)
-    want = lateral.step_batch(q, turned).goal
-    assert np.array_equal(lateral.step_batch(q, positions).goal, want)
-    assert np.array_equal(lateral.step_batch(q, positions.copy()).goal, want)
+    rotated_targets = targets.copy()
+    rotated_targets[:, :3, :3] = np.eye(3)
+    expected = lateral.step_batch(q, rotated_targets).goal
+    assert np.array_equal(lateral.step_batch(q, positions).goal, expected)
+    assert np.array_equal(lateral.step_batch(q, positions.copy()).goal, expected)
     assert np.array_equal(
         lateral.step_batch(q, positions[1]).goal,
         lateral.step_batch(q, np.stack([positions[1]] * 4)).goal,
@@ -173,13 +173,13 @@ def test_arguments_that_do_not_fit_are_named(model, change, match):
 def test_results_into_the_callers_arrays(model):
     controller = pliant.Controller(model, LAWS["cap"])
     q, targets = arms(model, 150)
-    want = controller.step_batch(q, targets)
+    expected = controller.step_batch(q, targets)
     mine = tuple(np.full((150, 7), -1.0) for _ in FIELDS)
     command = controller.step_batch(q, targets, out=mine)
     assert all(getattr(command, field) is array for field, array in zip(FIELDS, mine, strict=True))
     again = controller.step_batch(q[::-1].copy(), targets[::-1].copy(), out=command)
     assert again is command
-    assert all(np.array_equal(mine[i], getattr(want, f)[::-1]) for i, f in enumerate(FIELDS))
+    assert all(np.array_equal(mine[i], getattr(expected, f)[::-1]) for i, f in enumerate(FIELDS))
     kept = [controller.step_batch(q, targets) for _ in range(5)]
     assert len({id(command.goal) for command in kept}) == 5, (
         "results that are kept are nobody else's"
@@ -190,7 +190,7 @@ def test_arrays_that_cannot_be_written_are_refused(model):
     controller = pliant.Controller(model, LAWS["cap"])
     q, targets = arms(model, 4)
     state = controller.batch_state(4)
-    kept = pickle.dumps(state)
+    snapshot = pickle.dumps(state)
     good = [np.zeros((4, 7)) for _ in FIELDS]
     readonly = np.zeros((4, 7))
     readonly.flags.writeable = False
@@ -211,21 +211,21 @@ def test_arrays_that_cannot_be_written_are_refused(model):
         controller.step_batch(q, targets, state=state, out=(room[:4], room[2:], good[2]))
     with pytest.raises(pliant.ShapeError, match=r"out\[0\] has shape \(7,\), expected \(4, 7\)"):
         controller.step_batch(q, targets, state=state, out=controller.step(q[0], targets[0]))
-    assert pickle.dumps(state) == kept
+    assert pickle.dumps(state) == snapshot
 
 
 def test_results_may_overwrite_the_inputs(model):
     controller = pliant.Controller(model, LAWS["cap"])
     q, targets = arms(model, 150)
-    want = controller.step_batch(q, targets)
+    expected = controller.step_batch(q, targets)
     own = q.copy()
     controller.step_batch(own, targets, out=(own, np.zeros_like(q), np.zeros_like(q)))
-    assert np.array_equal(own, want.goal)
+    assert np.array_equal(own, expected.goal)
     room = targets.copy().reshape(-1)
     inside = room[: q.size].reshape(q.shape)
     overlapping = room.reshape(targets.shape)
     controller.step_batch(q, overlapping, out=(np.zeros_like(q), inside, np.zeros_like(q)))
-    assert np.array_equal(inside, want.torque_limit)
+    assert np.array_equal(inside, expected.torque_limit)
 
 
 def test_a_bad_row_is_named_and_changes_nothing(model):
@@ -233,18 +233,18 @@ def test_a_bad_row_is_named_and_changes_nothing(model):
     q, targets = arms(model, 150)
     state = controller.batch_state(150)
     controller.step_batch(q, targets, state=state)
-    kept = pickle.dumps(state)
+    snapshot = pickle.dumps(state)
     bad = q.copy()
     bad[77, 2], bad[140, 0] = np.nan, np.inf
     with pytest.raises(pliant.OutOfRangeError, match=r"^Q\[77\]: q\[2\] \(\w+\) = NaN is outside"):
         controller.step_batch(bad, targets, state=state)
-    turned = targets.copy()
-    turned[5, 0, 0] += 0.1
+    rotated_targets = targets.copy()
+    rotated_targets[5, 0, 0] += 0.1
     with pytest.raises(pliant.ConfigError, match=r"^targets\[5\]: rotation part is not a rotation"):
-        controller.step_batch(q, turned, state=state)
+        controller.step_batch(q, rotated_targets, state=state)
     with pytest.raises(pliant.OutOfRangeError, match=r"^dq\[77\]: dq\[2\]"):
         controller.step_batch(q, targets, state=state, dq=bad)
-    assert pickle.dumps(state) == kept
+    assert pickle.dumps(state) == snapshot
 
 
 def test_bad_rows_are_nan_where_asked_for(model):
@@ -273,9 +273,9 @@ def test_states_can_be_reset_copied_and_pickled(model):
     state = controller.batch_state(6)
     controller.step_batch(q, targets, state=state)
     copies = [copy.copy(state), copy.deepcopy(state), pickle.loads(pickle.dumps(state))]
-    want = controller.step_batch(q, targets, state=state)
+    expected = controller.step_batch(q, targets, state=state)
     for other in copies:
-        assert np.array_equal(controller.step_batch(q, targets, state=other).goal, want.goal)
+        assert np.array_equal(controller.step_batch(q, targets, state=other).goal, expected.goal)
     assert repr(state) == "<BatchState of 6 arms of 7 joints>"
     fresh = controller.step_batch(q, targets, state=controller.batch_state(6))
     for indices, rows in [
@@ -288,11 +288,11 @@ def test_states_can_be_reset_copied_and_pickled(model):
     ]:
         tried = copy.copy(copies[0])
         tried.reset(indices)
-        got = controller.step_batch(q, targets, state=tried)
+        result = controller.step_batch(q, targets, state=tried)
         kept = controller.step_batch(q, targets, state=copy.copy(copies[0]))
         for row in range(6):
             reference = fresh if row in rows else kept
-            assert np.array_equal(got.goal[row], reference.goal[row]), (indices, row)
+            assert np.array_equal(result.goal[row], reference.goal[row]), (indices, row)
     with pytest.raises(IndexError):
         state.reset(6)
     with pytest.raises(IndexError):
@@ -338,14 +338,14 @@ def test_python_runs_meanwhile_and_a_state_is_not_shared(model):
 def test_threads_with_their_own_states_get_what_they_get_alone(model):
     controller = pliant.Controller(model, LAWS["cap"])
 
-    def drive(seed, into):
+    def drive(seed, results):
         state = controller.batch_state(200)
         for tick in range(5):
-            into.append(controller.step_batch(*arms(model, 200, seed + tick), state=state).goal)
+            results.append(controller.step_batch(*arms(model, 200, seed + tick), state=state).goal)
 
     alone, together = [[] for _ in range(4)], [[] for _ in range(4)]
-    for seed, into in enumerate(alone):
-        drive(seed, into)
+    for seed, results in enumerate(alone):
+        drive(seed, results)
     threads = [threading.Thread(target=drive, args=(i, t)) for i, t in enumerate(together)]
     for thread in threads:
         thread.start()
@@ -395,8 +395,8 @@ def test_wrong_caps_and_adaptation_are_named(model):
     hold = controller.axes["y"].hold
     good = {"caps": row_axes(4, y=3.0), "adaptation": row_axes(4, y=0.5)}
     controller.step_batch(q, targets, state=state, **good)
-    kept = pickle.dumps(state)
-    for name, values, kind, said in [
+    snapshot = pickle.dumps(state)
+    for name, values, kind, message in [
         (
             "caps",
             row_axes(4, y=[1, 1, hold + 1, 1]),
@@ -416,6 +416,6 @@ def test_wrong_caps_and_adaptation_are_named(model):
         ("adaptation", row_axes(4, y=1.0), "OutOfRangeError", r"adaptation\[0\]: y = 1 is outside"),
         ("adaptation", row_axes(5, y=0.1), "ShapeError", r"adaptation has shape \(5, 6\)"),
     ]:
-        with pytest.raises(getattr(pliant, kind), match=said):
+        with pytest.raises(getattr(pliant, kind), match=message):
             controller.step_batch(q, targets, state=state, **{**good, name: values})
-        assert pickle.dumps(state) == kept
+        assert pickle.dumps(state) == snapshot

@@ -77,8 +77,8 @@ def test_parts_can_be_read(model, controller, servos):
     assert controller.axes["x"].yields == "none"
     assert controller.axes["x"].hold == 40.0
     assert "arm7" in repr(controller)
-    bare = pliant.Controller(model)
-    assert bare.settings == pliant.Settings()
+    plain_controller = pliant.Controller(model)
+    assert plain_controller.settings == pliant.Settings()
     other = pliant.Controller(model, None, pliant.Servos(kp=99.0, max_torque=5.0))
     assert other.servos.kp.tolist() == [99.0] * 7
 
@@ -110,15 +110,15 @@ def _forms(target):
 def test_targets_of_every_kind_give_the_same_bits(model, q, target):
     expected = pliant.Controller(model).step(q, target).goal
     for form in _forms(target):
-        got = pliant.Controller(model).step(q, form).goal
-        assert got.tobytes() == expected.tobytes(), type(form)
+        result = pliant.Controller(model).step(q, form).goal
+        assert result.tobytes() == expected.tobytes(), type(form)
 
 
 def test_a_position_is_enough_without_rotations(model, q, target):
     settings = pliant.Settings(task="xyz")
     expected = pliant.Controller(model, settings).step(q, target)
-    got = pliant.Controller(model, settings).step(q, target[:3, 3])
-    assert got.goal.tobytes() == expected.goal.tobytes()
+    result = pliant.Controller(model, settings).step(q, target[:3, 3])
+    assert result.goal.tobytes() == expected.goal.tobytes()
     with pytest.raises(
         pliant.ShapeError, match="a position alone says nothing of the task's rotations"
     ):
@@ -233,10 +233,10 @@ def test_reset_forgets_everything(model, q, target):
 
 
 def test_step_joints_is_a_step_to_their_pose_with_them_as_posture(model, q):
-    wanted = q + 0.02
-    a = pliant.Controller(model).step_joints(q, wanted)
-    settings = pliant.Settings(null_space=pliant.NullSpace(posture=wanted))
-    b = pliant.Controller(model, settings).step(q, model.forward_kinematics(wanted))
+    expected = q + 0.02
+    a = pliant.Controller(model).step_joints(q, expected)
+    settings = pliant.Settings(null_space=pliant.NullSpace(posture=expected))
+    b = pliant.Controller(model, settings).step(q, model.forward_kinematics(expected))
     np.testing.assert_allclose(a.goal, b.goal, atol=1e-14)
     np.testing.assert_allclose(a.torque_limit, b.torque_limit, atol=1e-12)
 
@@ -251,8 +251,8 @@ def test_payload_gravity_and_delay_while_running(model, controller, q, target):
     )  # the new gravity takes effect gradually, within 0.5 s
     for _ in range(50):
         controller.step(q, target)
-    loaded = pliant.robots.arm7(payload=pliant.Payload(0.5, (0.0, 0.0, 0.1)))
-    np.testing.assert_allclose(controller.diagnostics.gravity, loaded.gravity(q), atol=1e-12)
+    loaded_model = pliant.robots.arm7(payload=pliant.Payload(0.5, (0.0, 0.0, 0.1)))
+    np.testing.assert_allclose(controller.diagnostics.gravity, loaded_model.gravity(q), atol=1e-12)
     controller.set_payload(0.0)
     controller.set_gravity([0.0, 0.0, 0.0])
     controller.step(q, target)
@@ -301,16 +301,16 @@ def test_what_a_law_needs_is_said(q):
     from pathlib import Path
 
     urdf = Path(__file__).resolve().parents[1] / "data" / "golden" / "arm7.urdf"
-    bare = pliant.Model.from_urdf(urdf, tip="tool")
+    bare_model = pliant.Model.from_urdf(urdf, tip="tool")
     with pytest.raises(
         pliant.ConfigError, match=r'law="cap" needs the stiffness k_p of joints shoulder_pitch'
     ):
-        pliant.Controller(bare)
-    assert pliant.Controller(bare, pliant.Settings.paper()).servos is None
+        pliant.Controller(bare_model)
+    assert pliant.Controller(bare_model, pliant.Settings.paper()).servos is None
     with pytest.raises(pliant.ShapeError, match=r"servos.kp has shape \(6,\), expected \(7,\)"):
-        pliant.Controller(bare, None, pliant.Servos(kp=[1.0] * 6, max_torque=1.0))
+        pliant.Controller(bare_model, None, pliant.Servos(kp=[1.0] * 6, max_torque=1.0))
     with pytest.raises(TypeError):
-        pliant.Controller(bare, {"law": "cap"})
+        pliant.Controller(bare_model, {"law": "cap"})
 
 
 def test_springs_of_law_impedance(q):

@@ -93,8 +93,8 @@ def test_signatures_stay_beside_the_text(name, signature):
 
 
 def test_an_object_of_another_kind_is_answered_with_how_to_get_one(model):
-    made = pliant.Controller(model)
-    for call, what in (
+    controller = pliant.Controller(model)
+    for call, description in (
         (lambda: pliant.Controller("arm7"), r"model must be a Model, as pliant\.robots\.arm7\(\)"),
         (
             lambda: pliant.feasibility.check_path("arm7", pliant.Settings(), np.eye(4)),
@@ -102,12 +102,12 @@ def test_an_object_of_another_kind_is_answered_with_how_to_get_one(model):
         ),
         (lambda: pliant.Settings.firm().raise_soft("arm7"), "model must be a Model"),
         (lambda: pliant.Controller(model, "y"), r"settings must be Settings, e\.g\. .*got 'y'"),
-        (lambda: made.update("y"), "settings must be Settings"),
+        (lambda: controller.update("y"), "settings must be Settings"),
         (lambda: pliant.Controller(model, None, "sts3215"), r"servos must be Servos, e\.g\."),
         (lambda: model.with_servos("sts3215"), r"servos must be Servos, e\.g\."),
         (lambda: pliant.ContactEstimator(model), r"controller must be a Controller.*\(Model\)"),
     ):
-        with pytest.raises(TypeError, match=what):
+        with pytest.raises(TypeError, match=description):
             call()
 
 

@@ -18,8 +18,8 @@ def run(code):
 
 def test_every_name_is_there_and_documented():
     for name in pliant.__all__:
-        thing = getattr(pliant, name)
-        assert thing is not None
+        item = getattr(pliant, name)
+        assert item is not None
     assert set(pliant.__all__) <= set(dir(pliant))
     assert "robots" in dir(pliant)
     assert pliant._core.__all__

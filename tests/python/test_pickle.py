@@ -46,14 +46,14 @@ def steps(controller, q, target, count=30):
     return [bits(controller.step(q + 0.002 * i, target, dt=0.011)) for i in range(count)]
 
 
-@pytest.mark.parametrize("way", COPIES)
+@pytest.mark.parametrize("method", COPIES)
 @pytest.mark.parametrize("law", LAWS)
-def test_a_copy_goes_on_to_the_bit(model, q, target, way, law):
+def test_a_copy_goes_on_to_the_bit(model, q, target, method, law):
     controller = pliant.Controller(model, LAWS[law])
-    fresh = COPIES[way](controller)
+    fresh = COPIES[method](controller)
     assert steps(controller, q, target, 8) == steps(fresh, q, target, 8)
     told(controller, q)
-    running = COPIES[way](controller)
+    running = COPIES[method](controller)
     assert running is not controller
     assert running.settings == controller.settings
     assert running.servos == controller.servos
@@ -70,19 +70,19 @@ def test_a_copy_goes_on_to_the_bit(model, q, target, way, law):
     assert steps(controller, q, target) == steps(running, q, target)
 
 
-@pytest.mark.parametrize("way", COPIES)
-def test_a_copied_model_is_the_same(model, servos, q, way):
-    given = {
+@pytest.mark.parametrize("method", COPIES)
+def test_a_copied_model_is_the_same(model, servos, q, method):
+    arguments = {
         "tip": "tool",
         "payload": pliant.Payload(0.2, (0.0, 0.0, 0.03)),
         "gravity": np.array([0.0, 1.0, -9.0]),
         "limits": {model.joint_names[1]: (-1.5, 1.0)},
     }
-    own = pliant.Model.from_urdf_str(model.source[0], **given)
-    given["limits"].clear()
-    given["gravity"][:] = 0.0
+    own = pliant.Model.from_urdf_str(model.source[0], **arguments)
+    arguments["limits"].clear()
+    arguments["gravity"][:] = 0.0
     for first in (model, own, own.with_servos(servos), pliant.robots.so101()):
-        second = COPIES[way](first)
+        second = COPIES[method](first)
         at = q[: first.n]
         for call in ("forward_kinematics", "jacobian", "gravity"):
             assert getattr(first, call)(at).tobytes() == getattr(second, call)(at).tobytes()

@@ -116,24 +116,24 @@ def test_what_a_user_writes_into_a_command_does_not_reach_the_controller(
 ):
     other = pliant.Controller(model, controller.settings)
     for i in range(10):
-        mine = controller.step(q + 1e-3 * i, target)
+        command = controller.step(q + 1e-3 * i, target)
         theirs = other.step(q + 1e-3 * i, target)
-        assert np.array_equal(mine.goal, theirs.goal)
+        assert np.array_equal(command.goal, theirs.goal)
         theirs.goal[:] = np.nan
         theirs.torque_limit[:] = np.nan
 
 
 def test_out_overwrites_the_callers_command(controller, q, target):
-    mine = controller.step(q, target)
-    view = mine.goal
-    again = controller.step(q + 0.01, target, out=mine)
-    assert again is mine
-    assert mine.goal is view
-    assert controller.step_joints(q, 0.9 * q, out=mine) is mine
-    mine.torque_limit.flags.writeable = False
+    command = controller.step(q, target)
+    view = command.goal
+    again = controller.step(q + 0.01, target, out=command)
+    assert again is command
+    assert command.goal is view
+    assert controller.step_joints(q, 0.9 * q, out=command) is command
+    command.torque_limit.flags.writeable = False
     before = controller.diagnostics.q_predicted
     with pytest.raises(TypeError, match="out must be a command whose arrays are writable"):
-        controller.step(q + 0.5, target, out=mine)
+        controller.step(q + 0.5, target, out=command)
     assert np.array_equal(controller.diagnostics.q_predicted, before)
     with pytest.raises(TypeError):
         controller.step(q, target, out=view)
@@ -151,13 +151,13 @@ def test_commands_cannot_be_changed(controller, q, target):
 
 
 def test_one_controller_per_thread_gives_what_it_gives_alone(model, q, target):
-    def drive(offset, into):
+    def drive(offset, results):
         controller = pliant.Controller(model, pliant.Settings.soft("y"))
-        into.extend(controller.step(q + offset + 1e-4 * i, target) for i in range(300))
+        results.extend(controller.step(q + offset + 1e-4 * i, target) for i in range(300))
 
     alone, together = [[], [], [], []], [[], [], [], []]
-    for i, into in enumerate(alone):
-        drive(0.01 * i, into)
+    for i, results in enumerate(alone):
+        drive(0.01 * i, results)
     threads = [threading.Thread(target=drive, args=(0.01 * i, t)) for i, t in enumerate(together)]
     for thread in threads:
         thread.start()
@@ -201,10 +201,10 @@ def test_a_step_while_arguments_are_read_comes_before(controller, q, target):
 
     twin = copy.copy(controller)
     twin.step(q, target)
-    want = twin.step(q, target)
-    got = controller.step(q, Nosy())
-    assert np.array_equal(got.goal, want.goal)
-    assert np.array_equal(got.torque_limit, want.torque_limit)
+    expected = twin.step(q, target)
+    result = controller.step(q, Nosy())
+    assert np.array_equal(result.goal, expected.goal)
+    assert np.array_equal(result.torque_limit, expected.torque_limit)
 
 
 def test_nothing_leaks(controller, q, target):

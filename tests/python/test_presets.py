@@ -171,13 +171,13 @@ def test_a_followed_target_is_led_back_at_the_tool_s_speed(arm):
     settings = Settings(axes={"y": Axis(deviation_limit=0.02)}, max_tool_speed=(0.1, 1.0))
     controller = Controller(arm, settings)
     _, _, target = pushed_away(arm, controller, 0.06)
-    places = []
+    positions = []
     for _ in range(200):
         controller.step(Q, target)
-        places.append(controller.diagnostics.reference[1, 3])
-    speed = np.abs(np.diff(places)).max() * controller.settings.rate
+        positions.append(controller.diagnostics.reference[1, 3])
+    speed = np.abs(np.diff(positions)).max() * controller.settings.rate
     assert speed <= 0.1 + 1e-9
-    assert places[-1] == pytest.approx(target[1, 3], abs=1e-12)
+    assert positions[-1] == pytest.approx(target[1, 3], abs=1e-12)
     assert not controller.diagnostics.deviation_limited.any()
 
 

@@ -9,18 +9,18 @@ import pliant
 
 
 def refused(call, *args, **kwargs) -> str:
-    with pytest.raises((pliant.PliantError, TypeError, OSError)) as caught:
+    with pytest.raises((pliant.PliantError, TypeError, OSError)) as error:
         call(*args, **kwargs)
-    return str(caught.value)
+    return str(error.value)
 
 
 @pytest.mark.parametrize("dt", [1.01, 10.0])
 def test_a_time_in_milliseconds_is_no_time(controller, model, q, target, dt):
-    said = rf"dt [s] = {dt:g} is outside (0, 1]; is it in milliseconds?"
-    assert refused(controller.step, q, target, dt=dt) == said
-    assert refused(controller.step_joints, q, q, dt=dt) == said
-    assert refused(controller.step_batch, q[None], target, dt=dt) == said
-    assert refused(pliant.ContactEstimator(controller).update, q, dt=dt) == said
+    message = rf"dt [s] = {dt:g} is outside (0, 1]; is it in milliseconds?"
+    assert refused(controller.step, q, target, dt=dt) == message
+    assert refused(controller.step_joints, q, q, dt=dt) == message
+    assert refused(controller.step_batch, q[None], target, dt=dt) == message
+    assert refused(pliant.ContactEstimator(controller).update, q, dt=dt) == message
     for taken in (controller, pliant.Controller(model, pliant.Settings(rate=1.0))):
         taken.step(q, target, dt=None if taken is not controller else 1.0)
     assert refused(controller.step, q, target, dt=0.0) == "dt [s] = 0 is outside (0, 1]"
@@ -32,13 +32,13 @@ def test_a_place_in_millimetres_is_no_place(model, q, target, axis):
     controller = pliant.Controller(model, pliant.Settings(task="xyz"))
     lone = target[:3, 3].copy()
     lone[axis] = target[axis, 3] = -250.0
-    said = refused(model.check_target, lone).removeprefix("target")
-    assert said.startswith(": distance of position [")
-    assert "outside [0, 1.520]: the arm reaches 0.710 m; is it in millimetres?" in said
-    assert refused(controller.step, q, target) == f"target{said}"
-    assert refused(controller.step, q, lone) == f"target{said}"
-    assert refused(controller.step_batch, q[None], target) == f"targets{said}"
-    assert refused(controller.step_batch, q[None], lone[None]).endswith(said)
+    message = refused(model.check_target, lone).removeprefix("target")
+    assert message.startswith(": distance of position [")
+    assert "outside [0, 1.520]: the arm reaches 0.710 m; is it in millimetres?" in message
+    assert refused(controller.step, q, target) == f"target{message}"
+    assert refused(controller.step, q, lone) == f"target{message}"
+    assert refused(controller.step_batch, q[None], target) == f"targets{message}"
+    assert refused(controller.step_batch, q[None], lone[None]).endswith(message)
     far = f"position {'xyz'[axis]} [m] = -250 is outside ±100; is it in millimetres?"
     assert refused(model.inverse_kinematics, target, q).endswith(far)
     lone[axis] = 1.2
@@ -50,8 +50,8 @@ def test_a_place_in_millimetres_is_no_place(model, q, target, axis):
 def test_a_pose_with_a_wrong_last_row_is_no_posture(model, target):
     controller = pliant.Controller(model)
     target[3, 0] = 1.0
-    said = "last row of a 4×4 pose must be 0 0 0 1, got 1 0 0 1"
-    assert refused(controller.check, target) == f"path_or_pose: {said}"
+    message = "last row of a 4×4 pose must be 0 0 0 1, got 1 0 0 1"
+    assert refused(controller.check, target) == f"path_or_pose: {message}"
 
 
 def test_what_is_not_a_number_is_said_plainly(model, q, target):
@@ -61,8 +61,8 @@ def test_what_is_not_a_number_is_said_plainly(model, q, target):
     controller = pliant.Controller(model)
     assert refused(controller.step, lost, target) == f"q[2] ({name}) = NaN is outside ±1e6"
     target[0, 3] = np.inf
-    said = refused(controller.step, q, target)
-    assert said == "target: position x [m] = inf is outside ±100"
+    message = refused(controller.step, q, target)
+    assert message == "target: position x [m] = inf is outside ±100"
 
 
 def calls(model, q):
@@ -145,9 +145,9 @@ def calls(model, q):
 
 def test_an_argument_of_another_kind_is_named_with_what_would_do(model, q):
     for name, (call, expected) in calls(model, q).items():
-        said = refused(call)
-        assert said.startswith(name.strip()), said
-        assert f"must be {expected}" in said, said
+        message = refused(call)
+        assert message.startswith(name.strip()), message
+        assert f"must be {expected}" in message, message
 
 
 def test_an_axis_is_named_by_what_it_is(model):
@@ -155,12 +155,12 @@ def test_an_axis_is_named_by_what_it_is(model):
     settings = pliant.Settings(
         axes={"y": pliant.Axis(yields="both", stiffness=1e5)}, law="impedance"
     )
-    said = refused(pliant.Controller, model, settings)
-    assert "axes.stiffness: y=100000 N/m is" in said
-    assert " times what the median pose can have" in said
+    message = refused(pliant.Controller, model, settings)
+    assert "axes.stiffness: y=100000 N/m is" in message
+    assert " times what the median pose can have" in message
 
 
 def test_the_variant_of_a_servo_that_fits_the_supply_is_named():
-    said = refused(pliant.Servos.of, ["STS3215-7.4V"], voltage=12.0)
-    assert "STS3215-7.4V takes 4 to 8.4 V, got 12 V; for 12 V there is STS3215-12V;" in said
+    message = refused(pliant.Servos.of, ["STS3215-7.4V"], voltage=12.0)
+    assert "STS3215-7.4V takes 4 to 8.4 V, got 12 V; for 12 V there is STS3215-12V;" in message
     assert "there is" not in refused(pliant.Servos.of, ["STS3215-7.4V"], voltage=100.0)

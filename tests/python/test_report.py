@@ -46,15 +46,15 @@ def test_dead_host_max_bounds_what_is_left_of_a_dead_host(model, q, displaced):
     plain = pliant.Controller(model, pliant.Settings.soft("y"))
     plain.step(q, target)
     free = plain.report()
-    most = largest_host_loss_force(free) - 4.0  # [N]
+    largest = largest_host_loss_force(free) - 4.0  # [N]
     controller = pliant.Controller(
         model,
-        pliant.Settings.soft("y", torque_limits=pliant.TorqueLimits(max_host_loss_force=most)),
+        pliant.Settings.soft("y", torque_limits=pliant.TorqueLimits(max_host_loss_force=largest)),
     )
     command = controller.step(q, target)
     report = controller.report()
-    assert most - 0.5 < largest_host_loss_force(report) <= most
-    assert report.max_host_loss_force == most
+    assert largest - 0.5 < largest_host_loss_force(report) <= largest
+    assert report.max_host_loss_force == largest
     assert np.all(command.torque_limit <= free.torque_limit)
     assert np.all(command.torque_limit >= 1.1 * np.abs(model.gravity(q)) - 1e-12)
     assert not [said for said in report.summary() if "max_host_loss_force" in said]
@@ -66,8 +66,8 @@ def test_more_than_the_weight_leaves_cannot_be_kept(model, q):
     )
     report = pliant.Controller(model, settings).report(q)
     assert report.axes["z"].host_loss_force[0] > 10.0
-    (said,) = [said for said in report.summary() if "max_host_loss_force" in said]
-    assert "−z" in said
+    (sentence,) = [sentence for sentence in report.summary() if "max_host_loss_force" in sentence]
+    assert "−z" in sentence
     check = pliant.feasibility.check_path(model, settings, q)
     assert not check
     (found,) = [one for one in check.issues if one.setting == "torque_limits.max_host_loss_force"]
@@ -92,14 +92,14 @@ def test_what_delay_takes_off_springs_and_dampers_can_be_read(model, q):
     late = controller.report(q)
     assert late.damping_factor < report.damping_factor
     assert late.gain_factor < report.gain_factor
-    (said,) = [said for said in late.summary() if "damping" in said]
-    assert f"{late.damping_factor:.2f}"[:4] in said
+    (sentence,) = [sentence for sentence in late.summary() if "damping" in sentence]
+    assert f"{late.damping_factor:.2f}"[:4] in sentence
 
 
 def test_a_hold_raised_to_leave_room_is_reported(model, q):
     settings = pliant.Settings(axes={"y": pliant.Axis(soft=90.0)})
-    (said,) = [s for s in pliant.Controller(model, settings).report(q).summary() if "room" in s]
-    assert said == "y: hold is 90.0 N instead of 40.0, to leave room for soft and firm."
+    (sentence,) = [s for s in pliant.Controller(model, settings).report(q).summary() if "room" in s]
+    assert sentence == "y: hold is 90.0 N instead of 40.0, to leave room for soft and firm."
 
 
 def test_formula_of_the_static_force(controller, model, q):
@@ -121,13 +121,13 @@ def test_report_of_the_last_step_needs_one(controller, q, target):
 
 def test_sentences_of_the_report(controller, q):
     report = controller.report(q)
-    said = report.summary()
+    sentences = report.summary()
     assert any(
-        line.startswith("±y gives way at") and "cannot be softer than" in line for line in said
+        line.startswith("±y gives way at") and "cannot be softer than" in line for line in sentences
     )
-    assert any(line.startswith("After a host loss now") for line in said)
-    assert all(line.endswith(".") for line in said)
-    assert all(line in str(report) for line in said)
+    assert any(line.startswith("After a host loss now") for line in sentences)
+    assert all(line.endswith(".") for line in sentences)
+    assert all(line in str(report) for line in sentences)
     assert "Report" in repr(report)
 
 
@@ -169,8 +169,8 @@ def test_a_position_limit_is_announced_where_it_is_met(model, q):
     rubs = np.abs(left) @ np.delete(model.servos.friction, joint)
     assert stop.friction == pytest.approx(rubs, rel=0.05)
     start = f"+y: {near.joint_names[joint]} is 2.0° from its limit: pushed farther than "
-    (said,) = [line for line in report.summary() if line.startswith(start)]
-    assert said.startswith(f"{start}{1e3 * way:.0f} mm, the stop takes")
+    (sentence,) = [line for line in report.summary() if line.startswith(start)]
+    assert sentence.startswith(f"{start}{1e3 * way:.0f} mm, the stop takes")
 
 
 def test_an_axis_without_a_stop_in_its_way_announces_none(model, q):
@@ -209,10 +209,10 @@ def test_deviation_limits_are_reported(model, q):
     limits = [report.axes[axis].deviation_limit[0] for axis in ("x", "y", "yaw")]
     np.testing.assert_array_equal(limits, (0.02, np.inf, 0.1))
     assert report.axes["x"].on_deviation_limit == "wait"
-    said = report.summary()
-    assert "±x: pushed farther than 20 mm off its target, the whole target waits." in said
-    assert "±yaw: pushed farther than 0.10 rad off its target, its target comes along." in said
-    assert sum("off its target" in line for line in said) == 2
+    sentences = report.summary()
+    assert "±x: pushed farther than 20 mm off its target, the whole target waits." in sentences
+    assert "±yaw: pushed farther than 0.10 rad off its target, its target comes along." in sentences
+    assert sum("off its target" in line for line in sentences) == 2
 
 
 def test_check_takes_a_posture_a_path_and_a_pose(controller, model, q):
@@ -271,8 +271,8 @@ def test_a_singular_pose_that_a_push_leads_to_is_said(model):
         target = model.forward_kinematics(bent)
         target[0, 3] += share * far
         assert model.inverse_kinematics(target, bent).converged is reached
-    (said,) = [s for s in report.summary() if "singular" in s]
-    assert said.startswith(f"+x: pushed by {1e3 * far:.0f} mm the arm is near a singular pose")
+    (sentence,) = [s for s in report.summary() if "singular" in s]
+    assert sentence.startswith(f"+x: pushed by {1e3 * far:.0f} mm the arm is near a singular pose")
 
     check = pliant.feasibility.check_path(model, settings, np.stack([q, bent]))
     assert check.sigma_pose == 1
@@ -286,13 +286,13 @@ def test_a_singular_pose_that_a_push_leads_to_is_said(model):
 def test_check_takes_what_a_step_takes(model, q, target):
     at = target[:3, 3]
     lone = pliant.Settings(task="xyz")
-    wanted = str(pliant.feasibility.check_path(model, lone, target, q0=q))
+    expected = str(pliant.feasibility.check_path(model, lone, target, q0=q))
 
     class Held:
         matrix = target
 
     for form in (at, at.tolist(), pliant.Pose(target), Held()):
-        assert str(pliant.feasibility.check_path(model, lone, form, q0=q)) == wanted
+        assert str(pliant.feasibility.check_path(model, lone, form, q0=q)) == expected
         pliant.Controller(model, lone).step(q, form)
     with pytest.raises(pliant.ShapeError, match=r"expected \(4, 4\), \(3,\), \(7,\) or \(N, 7\)"):
         pliant.feasibility.check_path(model, lone, np.zeros(5))

@@ -365,13 +365,13 @@ WRONG = {
 @pytest.mark.parametrize("case", WRONG)
 def test_what_is_wrong_is_said_with_the_remedy(case):
     call, message = WRONG[case]
-    with pytest.raises(pliant.ConfigError, match=message) as caught:
+    with pytest.raises(pliant.ConfigError, match=message) as error:
         call()
-    assert caught.value.key
+    assert error.value.key
 
 
 def test_numbers_outside_their_bounds():
-    for call, what in (
+    for call, description in (
         (lambda: Axis(adaptation=1.0, soft=1.0), "Axis.adaptation"),
         (lambda: Settings(rate=0.0), "rate [Hz]"),
         (lambda: Settings(rate=None), "rate [Hz]"),
@@ -381,10 +381,10 @@ def test_numbers_outside_their_bounds():
         (lambda: Servos(kp=[1.0, -1.0], max_torque=1.0), "servos.kp[1]"),
         (lambda: Payload(-1.0), "payload.mass [kg]"),
     ):
-        with pytest.raises(pliant.OutOfRangeError) as caught:
+        with pytest.raises(pliant.OutOfRangeError) as error:
             call()
-        assert caught.value.what == what
-        assert caught.value.bound
+        assert error.value.what == description
+        assert error.value.bound
     with pytest.raises(pliant.ShapeError, match=r"servos.kp has shape \(2,\), expected \(3,\)"):
         Servos(kp=[1.0, 2.0], max_torque=[1.0, 2.0, 3.0])
 

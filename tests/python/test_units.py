@@ -57,10 +57,10 @@ def test_the_bound_on_a_target_is_a_ball_around_the_first_joint(arm, direction):
     ):
         with pytest.raises(pliant.OutOfRangeError) as error:
             refused()
-        said = str(error.value)
-        assert model.joint_names[0] in said
-        assert "millimetres?" in said
-        assert f"{model.reach:.3f} m" in said
+        message = str(error.value)
+        assert model.joint_names[0] in message
+        assert "millimetres?" in message
+        assert f"{model.reach:.3f} m" in message
         assert error.value.value > bound - 2e-3
     assert pickle.dumps(controller) == before
 
@@ -123,27 +123,27 @@ def test_joint_targets_beyond_the_limits_by_a_margin_are_refused(arm):
         for limit, sign in ((model.upper, 1.0), (model.lower, -1.0)):
             if not np.isfinite(limit[i]):
                 continue
-            wanted = q.copy()
-            wanted[i] = limit[i] + sign * 0.19
-            model.check_joint_target(wanted)
-            command = controller.step_joints(q, wanted)
+            expected = q.copy()
+            expected[i] = limit[i] + sign * 0.19
+            model.check_joint_target(expected)
+            command = controller.step_joints(q, expected)
             assert np.all(np.isfinite(command.goal))
             before = pickle.dumps(controller)
             for off in (0.21, 2.75, 57.0):
-                wanted[i] = limit[i] + sign * off
+                expected[i] = limit[i] + sign * off
                 for refused in (
-                    lambda wanted=wanted: controller.step_joints(q, wanted),
-                    lambda wanted=wanted: model.check_joint_target(wanted),
-                    lambda wanted=wanted: controller.check(wanted),
-                    lambda wanted=wanted: controller.check(np.array([q, wanted])),
+                    lambda expected=expected: controller.step_joints(q, expected),
+                    lambda expected=expected: model.check_joint_target(expected),
+                    lambda expected=expected: controller.check(expected),
+                    lambda expected=expected: controller.check(np.array([q, expected])),
                 ):
                     with pytest.raises(pliant.OutOfRangeError) as error:
                         refused()
-                    said = str(error.value)
-                    assert model.joint_names[i] in said
-                    assert "degrees?" in said
-                    assert f"limits [{model.lower[i]:g}, {model.upper[i]:g}]" in said
-                    assert error.value.value == wanted[i]
+                    message = str(error.value)
+                    assert model.joint_names[i] in message
+                    assert "degrees?" in message
+                    assert f"limits [{model.lower[i]:g}, {model.upper[i]:g}]" in message
+                    assert error.value.value == expected[i]
             assert pickle.dumps(controller) == before
 
 
@@ -151,9 +151,9 @@ def test_small_degrees_are_refused():
     model = pliant.robots.so101()
     controller = pliant.Controller(model, pliant.Settings.firm(task="xyz"))
     q = np.zeros(5)
-    for wanted in ([5, 3, -2, 4, 1], [0, 4.5, 0, 0, 0], [90, 0, 45, 0, 0]):
+    for expected in ([5, 3, -2, 4, 1], [0, 4.5, 0, 0, 0], [90, 0, 45, 0, 0]):
         with pytest.raises(pliant.OutOfRangeError, match="is it in degrees"):
-            controller.step_joints(q, wanted)
+            controller.step_joints(q, expected)
 
 
 def test_rows_that_are_too_far_become_nan_where_asked():

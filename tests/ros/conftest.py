@@ -42,11 +42,11 @@ class Running:
         self.ticks = iter(self.loop)
         self.tool = np.eye(4)
 
-    def until(self, condition, what):
+    def until(self, condition, description):
         """Run the loop until `condition()` is true; fail after `DEADLINE`."""
         end = time.monotonic() + DEADLINE
         while not condition():
-            assert time.monotonic() < end, f"{what} did not happen within {DEADLINE:g} s"
+            assert time.monotonic() < end, f"{description} did not happen within {DEADLINE:g} s"
             self.ticks_of(1)
 
     def ticks_of(self, count):
@@ -110,8 +110,8 @@ class Foxglove:
     def subscribe(self, topic):
         number = len(self._topics) + 1
         self._topics[number] = topic
-        wanted = {"id": number, "channelId": self.channels[topic]["id"]}
-        self.send(op="subscribe", subscriptions=[wanted])
+        request = {"id": number, "channelId": self.channels[topic]["id"]}
+        self.send(op="subscribe", subscriptions=[request])
 
     def decode(self, topic):
         """Decode the last message of a topic with the definition that the server announced."""
@@ -219,10 +219,10 @@ class Client:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text)
 
-    def subscribe(self, topic, kind, **more):
-        got = self.got.setdefault(topic, [])
+    def subscribe(self, topic, kind, **extra):
+        messages = self.got.setdefault(topic, [])
         return self.sdk.ROS2Subscriber(
-            topic, kind, callback=got.append, router_port=self.port, domain_id=0, **more
+            topic, kind, callback=messages.append, router_port=self.port, domain_id=0, **extra
         )
 
     def publish(self, topic, kind, **fields):
@@ -260,7 +260,7 @@ def six(client, values):
     return {"layout": layout, "data": np.array(values, dtype=float)}
 
 
-def send_until(running, client, topic, fields, *, condition, what):
+def send_until(running, client, topic, fields, *, condition, description):
     """Publish every 0.3 s until `condition()` holds: the subscriber is discovered after a while."""
     from pliant.ros.interface import SUBSCRIBED
 
@@ -272,7 +272,7 @@ def send_until(running, client, topic, fields, *, condition, what):
             last[0] = time.monotonic()
         return condition()
 
-    running.until(check, what)
+    running.until(check, description)
 
 
 @pytest.fixture(scope="module")

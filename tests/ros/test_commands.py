@@ -35,20 +35,20 @@ def start():
         program.wait()
 
 
-def until(condition, what):
+def until(condition, description):
     end = time.monotonic() + DEADLINE
     while not condition():
-        assert time.monotonic() < end, f"{what} did not happen within {DEADLINE:g} s"
+        assert time.monotonic() < end, f"{description} did not happen within {DEADLINE:g} s"
         time.sleep(0.01)
 
 
 def ended_by_ctrl_c(program):
     """Press Ctrl-C; check the summary, the end of the torque and the exit code."""
     program.send_signal(signal.SIGINT)
-    said, complained = program.communicate()
-    assert program.returncode == 130, complained
-    assert "ticks, late by" in said
-    assert "torque OFF" in complained
+    stdout, stderr = program.communicate()
+    assert program.returncode == 130, stderr
+    assert "ticks, late by" in stdout
+    assert "torque OFF" in stderr
 
 
 def test_ros_command_serves_a_node_until_ctrl_c(start, client_of):
@@ -72,12 +72,12 @@ def test_foxglove_command_shows_the_arm_until_ctrl_c(start):
     assert f"Foxglove WebSocket: ws://127.0.0.1:{port}" in said
     client = Foxglove(f"ws://127.0.0.1:{port}")
 
-    def arrived(condition, what):
+    def arrived(condition, description):
         def check():
             client.poll()
             return condition()
 
-        until(check, what)
+        until(check, description)
 
     arrived(lambda: "/joint_states" in client.channels, "the list of channels")
     client.subscribe("/joint_states")
@@ -93,6 +93,6 @@ def test_foxglove_command_shows_the_arm_until_ctrl_c(start):
 @pytest.mark.parametrize("name", ["ros", "foxglove"])
 def test_a_bad_flag_is_an_error_before_torque(start, name):
     program, said = start(name, "--duration", "0")
-    _, complained = program.communicate()
+    _, stderr = program.communicate()
     assert (program.returncode, said) == (2, "")
-    assert "--duration must be above 0 s, got 0" in complained
+    assert "--duration must be above 0 s, got 0" in stderr

@@ -55,12 +55,12 @@ def client(running):
     made.socket.close()
 
 
-def wait(running, client, condition, what):
+def wait(running, client, condition, description):
     def check():
         client.poll()
         return condition()
 
-    running.until(check, what)
+    running.until(check, description)
 
 
 def test_state_and_description_arrive(running, client):
@@ -118,7 +118,7 @@ def test_caps_are_parameters_that_can_be_set(running, client):
     wait(running, client, lambda: text in running.said(), "the refusal")
 
 
-def publish_until(running, client, message, condition, what):
+def publish_until(running, client, message, condition, description):
     """Publish a target as JSON until the loop shows the effect."""
     channel = {"id": 1, "topic": "/pliant/target_pose", "encoding": "json"}
     client.send(
@@ -132,7 +132,7 @@ def publish_until(running, client, message, condition, what):
             last[0] = time.monotonic()
         return condition()
 
-    wait(running, client, check, what)
+    wait(running, client, check, description)
     client.send(op="unadvertise", channelIds=[1])
 
 

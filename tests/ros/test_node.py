@@ -91,19 +91,19 @@ def test_state_arrives_with_names_frames_and_values(running, client):
 
 
 def test_description_arrives_at_a_subscriber_that_comes_later(running, client):
-    got = []
+    messages = []
     # As rmw_zenoh subscribes to a transient-local topic.
     subscriber = zenoh.ext.declare_advanced_subscriber(
         client.session.session,
         wire.key_expression(0, "/robot_description", "std_msgs/msg/String"),
-        got.append,
+        messages.append,
         history=zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=1),
     )
-    running.until(lambda: got, "the description")
+    running.until(lambda: messages, "the description")
     subscriber.undeclare()
-    text = wire.decode("std_msgs/msg/String", got[0].payload.to_bytes()).data
+    text = wire.decode("std_msgs/msg/String", messages[0].payload.to_bytes()).data
     assert text == running.arm.model.source[0]
-    assert len(got[0].attachment.to_bytes()) == 8 + 8 + 1 + 16
+    assert len(messages[0].attachment.to_bytes()) == 8 + 8 + 1 + 16
 
 
 def test_sdk_gets_the_description_by_its_own_query(running, client):
@@ -147,7 +147,7 @@ def test_target_pose_moves_the_tool(running, client):
         "/pliant/target_pose",
         pose_fields(client, goal),
         condition=lambda: np.linalg.norm(running.tool[:3, 3] - goal[:3, 3]) < 0.008,
-        what="the motion to the target",
+        description="the motion to the target",
     )
     # Without further targets the arm holds the last one.
     running.ticks_of(200)
@@ -175,7 +175,7 @@ def test_target_joint_moves_the_joints_by_name(running, client):
         "/pliant/target_joint",
         fields,
         condition=lambda: np.allclose(running.bridge.target, target, atol=1e-9),
-        what="the joint target",
+        description="the joint target",
     )
 
 
@@ -190,11 +190,11 @@ BAD_POSES = {
 
 @pytest.mark.parametrize("case", BAD_POSES)
 def test_bad_target_is_refused_with_value_and_bound(running, client, case):
-    more, position, text = BAD_POSES[case]
+    extra, position, text = BAD_POSES[case]
     pose = np.eye(4)
     pose[:3, 3] = position
     before = running.bridge.target.copy()
-    fields = pose_fields(client, np.eye(4), **more)
+    fields = pose_fields(client, np.eye(4), **extra)
     for axis, value in zip("xyz", position, strict=True):
         setattr(fields["pose"].position, axis, float(value))
     send_until(
@@ -203,7 +203,7 @@ def test_bad_target_is_refused_with_value_and_bound(running, client, case):
         "/pliant/target_pose",
         fields,
         condition=lambda: text in running.said(),
-        what=f"the refusal {text!r}",
+        description=f"the refusal {text!r}",
     )
     running.ticks_of(20)
     assert (running.bridge.target == before).all()
@@ -231,7 +231,7 @@ def test_softness_from_the_client_changes_the_settings_of_the_controller(running
         "/pliant/target_softness",
         six(client, [3.0, nan, 2.5, nan, nan, nan]),
         condition=lambda: running.controller.axes["x"].soft == (3.0, 3.0),
-        what="the change of the caps",
+        description="the change of the caps",
     )
     axes = running.controller.axes
     assert axes["z"].soft == (2.5, 2.5)
@@ -248,7 +248,7 @@ def test_stiffness_of_another_law_is_refused(running, client):
         "/pliant/target_stiffness",
         six(client, [100.0] * 6),
         condition=lambda: text in running.said(),
-        what="the refusal",
+        description="the refusal",
     )
 
 

@@ -24,7 +24,7 @@ def test_stiffness_from_the_client_changes_the_springs_of_law_impedance(
             "/pliant/target_stiffness",
             six(client, [150.0, nan, nan, nan, nan, nan]),
             condition=lambda: springs.controller.axes["x"].stiffness == (150.0, 150.0),
-            what="the change of the stiffness",
+            description="the change of the stiffness",
         )
         assert springs.controller.axes["y"].stiffness == before["y"].stiffness
         # The name of CRISP's controllers for the same number.

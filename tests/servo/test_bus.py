@@ -37,17 +37,17 @@ def test_goals_arrive_in_radians(emulated, enabled, kind):
 def test_limits_on_the_wire_are_what_was_asked(emulated, enabled, kind):
     with emulated(kind, 2, clock="steps") as (bus, chain):
         enabled(chain)
-        most = chain.servos.max_torque
+        largest = chain.servos.max_torque
         for share in (0.0, 0.013, 0.37, 1.0, 7.0):
-            chain.write([0.0, 0.0], share * most)
+            chain.write([0.0, 0.0], share * largest)
             chain.read()
             bus.sync()
             for i, servo in enumerate(bus.servos):
-                asked = min(share, 1.0) * most[i]
+                asked = min(share, 1.0) * largest[i]
                 name = {"sts": "torque_limit", "xm": "goal_current", "xl430": "goal_pwm"}
                 register = servo.get(name.get(kind, "torque_limit"))
                 full = {"sts": 1000, "xm": 1193, "xl430": 885}.get(kind, 1023)
-                unit = 4.1 / 2.3 * 0.00269 if kind == "xm" else most[i] / full
+                unit = 4.1 / 2.3 * 0.00269 if kind == "xm" else largest[i] / full
                 assert register <= full
                 assert asked - 1.001 * unit <= register * unit <= asked * (1 + 1e-9)
 
@@ -93,7 +93,7 @@ def test_no_goal_while_disabled(emulated, enabled, kind):
 
 @pytest.mark.parametrize("kind", ["sts", "xm"])
 @pytest.mark.parametrize(
-    ("bad", "told"),
+    ("bad", "message"),
     [
         (([np.nan, 0.0], [0.5, 0.5]), "goal of joint0 is not finite"),
         (([0.0, 0.0], [np.inf, 0.5]), "limit of joint0 is not finite"),
@@ -101,14 +101,14 @@ def test_no_goal_while_disabled(emulated, enabled, kind):
         (([0.0, 0.0], [0.5, 0.5], [np.nan, 1.0]), "velocity of joint0 is not a number"),
     ],
 )
-def test_numbers_of_a_disabled_joint_are_validated_too(emulated, enabled, kind, bad, told):
+def test_numbers_of_a_disabled_joint_are_validated_too(emulated, enabled, kind, bad, message):
     with emulated(kind, 2, clock="steps") as (bus, chain):
         for disabled in (chain.names, ["joint0"]):
             enabled(chain)
             chain.disable(disabled)
             chain.read()
             before = bus.log.count
-            with pytest.raises(ConfigError, match=told):
+            with pytest.raises(ConfigError, match=message):
                 chain.write(*bad)
             assert bus.log.count == before
 

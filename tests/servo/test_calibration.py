@@ -51,7 +51,7 @@ def test_a_file_that_lerobot_wrote_passes(name, tmp_path):
 
 @pytest.mark.parametrize("name", ["so101", "koch"])
 @pytest.mark.parametrize(
-    ("entry", "said"),
+    ("entry", "message"),
     [
         ({"homing_offset": -1200}, r"elbow_flex .*homing_offset -1200, the servo 0: .*off by 105°"),
         ({"homing_offset": 1}, r"homing_offset 1, the servo 0: its zero would be off by 0.0879°"),
@@ -59,19 +59,19 @@ def test_a_file_that_lerobot_wrote_passes(name, tmp_path):
         ({"range_max": 3000}, r"range_max 3000, the servo 3330: its zero would be off by 14.5°"),
     ],
 )
-def test_a_file_of_another_arm_is_refused_with_the_angle(name, entry, said, tmp_path):
-    with pytest.raises(pliant.ServoError, match=said) as caught:
+def test_a_file_of_another_arm_is_refused_with_the_angle(name, entry, message, tmp_path):
+    with pytest.raises(pliant.ServoError, match=message) as error:
         opened(name, tmp_path, elbow_flex=entry)
-    assert "lerobot-calibrate" in str(caught.value)
-    assert "shoulder_pan" not in str(caught.value)
+    assert "lerobot-calibrate" in str(error.value)
+    assert "shoulder_pan" not in str(error.value)
 
 
 def test_every_joint_that_differs_is_named(tmp_path):
     moved = {joint: {"homing_offset": 900} for joint in JOINTS}
-    with pytest.raises(pliant.ServoError) as caught:
+    with pytest.raises(pliant.ServoError) as error:
         opened("so101", tmp_path, **moved)
     for joint in JOINTS:
-        assert f"{joint} (id" in str(caught.value)
+        assert f"{joint} (id" in str(error.value)
 
 
 def test_a_direction_that_the_servo_has_not_is_refused_and_one_of_lerobots_own_is_said(tmp_path):
@@ -88,15 +88,17 @@ def test_a_joint_with_a_zero_of_its_own_needs_no_file(tmp_path):
         for i, joint in enumerate(JOINTS[:5], 1)
     )
     file = lerobot_file(tmp_path)
-    read = config.parse(f'calibration = "{file.name}"\n{text}', folder=tmp_path)
-    assert {spec.calibration for spec in factory.servo_specs(read, {"main": "/dev/none"})} == {None}
+    arm_config = config.parse(f'calibration = "{file.name}"\n{text}', folder=tmp_path)
+    assert {
+        spec.calibration for spec in factory.servo_specs(arm_config, {"main": "/dev/none"})
+    } == {None}
 
 
 def test_doctor_reports_each_joint(tmp_path, monkeypatch):
     bare = config.load("so101", backend="emulator")
-    read = config.load("so101", calibration=lerobot_file(tmp_path))
+    arm_config = config.load("so101", calibration=lerobot_file(tmp_path))
     with emulate(bare.model(), make_mounts(bare), [0.0] * 5, held=True) as bus:
-        wired = config.load("so101", calibration=read.calibration, port=bus.ports["main"])
+        wired = config.load("so101", calibration=arm_config.calibration, port=bus.ports["main"])
         bad = [finding.text for finding in examine(wired) if finding.level == "bad"]
     said = [text for text in bad if "homing_offset" in text]
     # One error per joint, except the third, whose offset in the file is 0 as in a new servo.
@@ -111,17 +113,23 @@ def test_a_calibrated_gripper_closes_at_the_end_of_its_range(sign, closed, tmp_p
     file = tmp_path / "arm.toml"
     file.write_text(turned, "utf-8")
     calibration = lerobot_file(tmp_path, gripper={"range_min": 2000, "range_max": 3100})
-    own = config.load(file, backend="emulator", calibration=calibration)
-    (jaw,) = factory.gripper_configs(own).values()
+    arm_config = config.load(file, backend="emulator", calibration=calibration)
+    (jaw,) = factory.gripper_configs(arm_config).values()
     assert jaw.closed == 0.0
     assert jaw.opened == pytest.approx(1100 * 2.0 * np.pi / 4096)
-    with make_emulator(own, clock="steps") as bus:
+    with make_emulator(arm_config, clock="steps") as bus:
         drive = ServoBus(
-            factory.servo_specs(own, bus.ports), reply_timeout_min=0.5, clock=ManualClock(bus)
+            factory.servo_specs(arm_config, bus.ports),
+            reply_timeout_min=0.5,
+            clock=ManualClock(bus),
         )
-        grippers = factory.gripper_configs(own)
+        grippers = factory.gripper_configs(arm_config)
         with pliant.Arm(
-            own.model(), drive, grippers=grippers, handle_signals=False, on_exit="leave_enabled"
+            arm_config.model(),
+            drive,
+            grippers=grippers,
+            handle_signals=False,
+            on_exit="leave_enabled",
         ) as arm:
             for move, count in ((arm.gripper.close, closed), (arm.gripper.open, 5100 - closed)):
                 move()

@@ -101,10 +101,12 @@ def test_readings_of_a_group_are_those_of_single_servos():
         servo.attach(codec, i)
     block = group[0].family.read[0]
     results = set()
-    for turn in range(200):
-        time = 0.01 * turn + (0.5 if turn > 100 else 0.0)
+    for cycle in range(200):
+        time = 0.01 * cycle + (0.5 if cycle > 100 else 0.0)
         positions = 2000 + rng.integers(5, size=3) + (rng.random(3) < 0.1) * 1000
-        rows = [reply(single[0], time, position=int(p), voltage=70 + turn // 50) for p in positions]
+        rows = [
+            reply(single[0], time, position=int(p), voltage=70 + cycle // 50) for p in positions
+        ]
         answers = [(row.data, int(rng.random() < 0.05)) for row in rows]
         ages = [time - servo.time for servo in single]
         expected = []

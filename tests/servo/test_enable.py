@@ -72,9 +72,9 @@ def enable_with_old_goals(kind, fault, place):
 def test_no_single_lost_packet_switches_torque_on_with_an_old_goal(kind, fault):
     _, requests = enable_with_old_goals(kind, fault, 0)
     assert requests > 10
-    for place in range(1, requests + 1):
-        way, _ = enable_with_old_goals(kind, fault, place)
-        assert way < 0.005, f"request {place} of {requests}"
+    for index in range(1, requests + 1):
+        way, _ = enable_with_old_goals(kind, fault, index)
+        assert way < 0.005, f"request {index} of {requests}"
 
 
 @pytest.mark.parametrize("kind", ["sts", "xm", "mx"])
@@ -89,10 +89,10 @@ def test_torque_that_could_not_be_taken_back_is_said(kind):
         faults.chance = lambda: "deaf" if any(servo.enabled for servo in bus.servos) else None
         with pytest.raises(
             ServoError, match=r"(?s)torque may still be on: .*cut the supply"
-        ) as told:
+        ) as error:
             chain.enable(goal, 0.5 * chain.servos.max_torque)
         assert bus.servos[0].enabled
-        assert "joint0 did not confirm torque_enable = 0" in str(told.value)
+        assert "joint0 did not confirm torque_enable = 0" in str(error.value)
 
 
 @pytest.mark.parametrize("kind", ["sts", "xm"])
@@ -173,10 +173,10 @@ def test_lerobot_moves_an_arm_after_pliant_as_before(emulated, enabled):
             servo.write(40, bytes([1]))
             servo.write(42, goal.to_bytes(2, "little"))
         bus.advance(1.5)
-        places = [servo.position for servo in bus.servos]
+        positions = [servo.position for servo in bus.servos]
         for servo in bus.servos:
             servo.write(40, bytes([0]))
-        return places
+        return positions
 
     with emulated("sts", 2, clock="steps") as (bus, chain):
         for servo in bus.servos:
@@ -272,10 +272,10 @@ def test_a_line_that_is_never_silent_is_reported_at_open(kind, trouble):
     with Emulator(devices(kind, 3), clock="steps") as bus, chain_on(bus, kind, 3, 0.05) as chain:
         chain.close()
         getattr(bus, trouble)()
-        with pytest.raises(ServoError, match=r"never silent|echo") as caught:
+        with pytest.raises(ServoError, match=r"never silent|echo") as error:
             chain.open()
-        assert "id of its own" not in str(caught.value)
-        assert "Two servos on one id" not in str(caught.value)
+        assert "id of its own" not in str(error.value)
+        assert "Two servos on one id" not in str(error.value)
         getattr(bus, trouble)(False)
         chain.open()
         assert chain.read().ok.all()

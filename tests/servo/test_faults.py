@@ -106,13 +106,13 @@ def test_a_servo_that_lost_its_torque_is_noticed(emulated, enabled):
 def test_torque_that_went_off_is_noticed_within_a_few_ticks(emulated, enabled, kind):
     with emulated(kind, 6, clock="steps") as (bus, chain):
         limit = enabled(chain)
-        for place in (6, 3):
-            for k in range(12 + place):
+        for index in (6, 3):
+            for k in range(12 + index):
                 chain.read()
                 chain.write(np.full(6, 0.001 * k), limit)
                 chain.poll_status()
                 bus.advance(0.01)
-            bus.servo(place).put("torque_enable", 0)
+            bus.servo(index).put("torque_enable", 0)
             bus.log.clear()
             said = ""
             # Protocol 1.0 and Feetech poll all servos within six ticks.
@@ -120,8 +120,8 @@ def test_torque_that_went_off_is_noticed_within_a_few_ticks(emulated, enabled, k
                 chain.read()
                 said += str(chain.poll_status())
                 bus.advance(0.01)
-            assert f"joint{place - 1}: its torque went off" in said
-            bus.servo(place).put("torque_enable", 1)
+            assert f"joint{index - 1}: its torque went off" in said
+            bus.servo(index).put("torque_enable", 1)
             enabled(chain)
 
 
@@ -187,8 +187,8 @@ def test_a_latched_servo_is_not_enabled_and_reboot_clears_it(emulated, enabled):
 
 
 def test_protocol_1_has_no_reboot(emulated):
-    refused = pytest.raises(ServoError, match="MX-64 has no reboot")
-    with emulated("mx", 1, clock="steps") as (_, chain), refused:
+    refusal = pytest.raises(ServoError, match="MX-64 has no reboot")
+    with emulated("mx", 1, clock="steps") as (_, chain), refusal:
         chain.reboot("joint0")
 
 
@@ -202,8 +202,8 @@ def test_a_limit_that_does_not_stick_is_reported(emulated, enabled):
             chain.write([0.0, 0.0], limit / 2)
             found += getattr(chain.poll_status(), "faults", ())
             bus.advance(0.01)
-        said = "torque limit reads 1000 (1.91 N·m), written was 250 (0.478 N·m)"
-        assert any(said in text for text in found)
+        message = "torque limit reads 1000 (1.91 N·m), written was 250 (0.478 N·m)"
+        assert any(message in text for text in found)
         assert chain.counters["mismatches"] >= 2
         # The servo accepts its goals, so it does not count as refusing.
         assert not chain.refusing.any()

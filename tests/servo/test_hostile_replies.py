@@ -109,21 +109,21 @@ def test_a_damaged_reply(port, call, spoil, lie):
     if call == "sync_read":
         answer += packet(IDS[1], 0, data)
     replies.next.append(packet(lie[1], lie[2], lie[0]) if lie else spoil(answer))
-    got = []
+    decoded = []
     try:
         match call:
             case "read":
-                got = [guard.read(IDS[0], BLOCK)]
+                decoded = [guard.read(IDS[0], BLOCK)]
             case "sync_read":
                 block, answers, time = guard.sync_read(IDS, BLOCK)
-                got = [Reply(block, *answer, time) for answer in answers]
+                decoded = [Reply(block, *answer, time) for answer in answers]
             case "write":
                 assert 0 <= guard.write(IDS[0], 30, b"\x01") <= 255
             case _:
                 assert guard.ping(IDS[0]) in (True, False)
     except BusError as error:
         assert error.reason != "gone", error  # noqa: PT017
-    for reply in got:
+    for reply in decoded:
         assert len(reply.data) == SIZE
         assert lie or reply.data == data, "a damaged packet is taken for another one"
     replies.next.clear()

@@ -17,10 +17,10 @@ def opened(bus, *specs, **options):
 
 def complaint(parts, *specs, **options):
     with Emulator(parts, clock="steps", **options) as bus:
-        with pytest.raises(ServoError) as caught:
+        with pytest.raises(ServoError) as error:
             opened(bus, *specs)
         assert not bus.log.writes()
-    return str(caught.value)
+    return str(error.value)
 
 
 PAN = {"name": "pan", "model": "STS3215-7.4V", "id": 1, "lower": -1.0, "upper": 1.0}
@@ -97,8 +97,8 @@ def test_a_port_that_is_not_there():
 def test_a_port_that_is_taken():
     with Emulator([Device("STS3215", id=1)], clock="steps") as bus:
         spec = ServoSpec(port=bus.port, **PAN)
-        refused = pytest.raises(ServoError, match="in use by another program")
-        with ServoBus([spec], reply_timeout_min=0.03), refused:
+        refusal = pytest.raises(ServoError, match="in use by another program")
+        with ServoBus([spec], reply_timeout_min=0.03), refusal:
             ServoBus([spec], reply_timeout_min=0.03).open()
 
 

@@ -41,10 +41,10 @@ def test_answers_that_are_late_once_are_not_booked_on_other_ids(kind):
 def test_two_servos_on_one_id_are_distinguished_from_a_line_that_corrupts_replies():
     parts = [*answers("sts", [1, 2]), Device("STS3215", id=2, angle=1.0)]
     with Emulator(parts) as bus:
-        one, two = found(bus, 1_000_000)
-        assert one == (1, "")
-        assert two[0] == 2
-        assert "two servos on this id?" in two[1]
+        first, second = found(bus, 1_000_000)
+        assert first == (1, "")
+        assert second[0] == 2
+        assert "two servos on this id?" in second[1]
     with Emulator(answers("sts", [1, 2, 3])) as bus:
         bus.faults.by_chance(noise=1.0)
         notes = [note for _, note in found(bus, 1_000_000)]

@@ -137,20 +137,20 @@ def test_readings_decoded_with_the_request_are_those_decoded_after_it():
     port = Answering()
     (codec, family, block), (other, _, _) = codec_of_two(), codec_of_two()
     seen = set()
-    for turn in range(60):
-        time = 0.01 * turn + (1.0 if turn > 40 else 0.0)
+    for cycle in range(60):
+        time = 0.01 * cycle + (1.0 if cycle > 40 else 0.0)
         values = [
             {
                 "position": int(2000 + rng.integers(3) + 1500 * (rng.random() < 0.1)),
                 "speed": int(rng.integers(100)),
-                "voltage": 70 + (turn == 20),
+                "voltage": 70 + (cycle == 20),
             }
             for _ in range(2)
         ]
         statuses = [int(rng.random() < 0.05) for _ in range(2)]
         data = [family.layout(block).encode(row) for row in values]
         port.reply = b"".join(map(packet, (3, 5), data, statuses))
-        usual = bool(turn % 3)
+        usual = bool(cycle % 3)
         decoder = transport.Decoder(codec, [0, 1], 0.5, block if usual else None)
         found = port.io.sync_decode([3, 5], block, decoder, time)
         answers = list(zip(data, statuses, strict=True))

@@ -191,9 +191,7 @@ def test_bad_hands_are_named(make, message):
 
 
 def test_an_unknown_frame_lists_those_there_are(arm):
-    with pytest.raises(
-        pliant.FrameNotFoundError, match=r"no frame 'elbow'.*forearm_link"
-    ) as caught:
+    with pytest.raises(pliant.FrameNotFoundError, match=r"no frame 'elbow'.*forearm_link") as error:
         Plant(arm, scene=[Push(at="elbow")])
-    there = str(caught.value).split("there are ")[1].split(", ")
+    there = str(error.value).split("there are ")[1].split(", ")
     assert len(there) == len(set(there))

@@ -13,8 +13,8 @@ def pull(force, start=0.3):
     return Push(force_vector=force, course=ForceProfile(start=start, rise=0.3, end=60.0))
 
 
-def scene(arm, *things, **options):
-    return Plant(arm, friction_scale=0.0, damping_scale=0.2, scene=things, **options)
+def scene(arm, *objects, **options):
+    return Plant(arm, friction_scale=0.0, damping_scale=0.2, scene=objects, **options)
 
 
 def test_a_drawer_slides_on_its_line_to_its_stop(arm, floating):
@@ -88,20 +88,20 @@ def test_friction_on_a_surface_is_mu_times_the_normal_force(arm, grasp, floating
 
 
 def test_an_object_is_carried_taken_and_let_go(arm, grasp):
-    thing = HandoverObject(mass=0.5, course=ForceProfile(start=2.0, rise=0.5, end=9.0))
-    plant = Plant(arm, scene=[thing])
+    item = HandoverObject(mass=0.5, course=ForceProfile(start=2.0, rise=0.5, end=9.0))
+    plant = Plant(arm, scene=[item])
     plant.reset(grasp)
-    home = thing.place_of(plant)
+    home = item.place_of(plant)
     plant.advance(1900)
-    assert thing.force == pytest.approx(0.5 * 9.81, rel=0.1)
-    assert thing.effort == 0.0
+    assert item.force == pytest.approx(0.5 * 9.81, rel=0.1)
+    assert item.effort == 0.0
     plant.advance(300)
-    assert thing.effort > 5.0
-    thing.release(plant)
+    assert item.effort > 5.0
+    item.release(plant)
     plant.advance(2500)
-    assert thing.released == pytest.approx(2.2, abs=1e-6)
-    assert thing.force == 0.0
-    np.testing.assert_allclose(thing.place_of(plant) - home, thing.displacement, atol=5e-3)
+    assert item.released == pytest.approx(2.2, abs=1e-6)
+    assert item.force == 0.0
+    np.testing.assert_allclose(item.place_of(plant) - home, item.displacement, atol=5e-3)
 
 
 def down(arm, socket, grasp, depth, ticks=150):

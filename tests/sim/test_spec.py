@@ -98,10 +98,12 @@ def test_servos_are_guessed_from_efforts_or_asked_for():
     assert gains.kp[0] == pytest.approx(7.0 / 0.07)
     assert gains.friction[0] == pytest.approx(0.14)
     assert gains.damping[0] == pytest.approx(0.7)
-    bare = pliant.Model.from_urdf_str(TWO_FINGERS.replace(' effort="7"', ' effort="0"'), tip="tool")
+    bare_model = pliant.Model.from_urdf_str(
+        TWO_FINGERS.replace(' effort="7"', ' effort="0"'), tip="tool"
+    )
     with pytest.raises(pliant.ConfigError, match="servos of swing"):
-        Plant(bare)
-    Plant(bare, pliant.Servos(kp=[10.0], max_torque=[1.0]))
+        Plant(bare_model)
+    Plant(bare_model, pliant.Servos(kp=[10.0], max_torque=[1.0]))
 
 
 def test_fingers_ride_and_follow():
@@ -126,10 +128,10 @@ def test_fingers_ride_and_follow():
 
 def test_the_missing_extra_is_one_line():
     code = "import sys; sys.modules['mujoco'] = None; import pliant; import pliant.sim"
-    done = subprocess.run(
+    result = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60
     )
-    assert done.returncode == 1
-    last = done.stderr.strip().splitlines()[-1]
+    assert result.returncode == 1
+    last = result.stderr.strip().splitlines()[-1]
     assert 'pliant.sim needs the extra "sim": ' in last
     assert re.search(r" install (--python \S+ )?'pliant\[sim\]'$", last)  # pip, or uv without pip

@@ -36,10 +36,10 @@ with pliant.connect("so101", port=sys.argv[1], **options) as arm:
 NEAR = [0.0, -1.5, 1.4, 0.3, 0.0]
 
 
-def start(bus, *words, guardian=True):
+def start(bus, *arguments, guardian=True):
     # Start a new session: a signal to its process group then acts like Ctrl-C in a terminal.
     program = Program(
-        "-c", PROGRAM.format(guardian=guardian), bus.port, *words, start_new_session=True
+        "-c", PROGRAM.format(guardian=guardian), bus.port, *arguments, start_new_session=True
     )
     assert program.stdout.readline() == "torque\n", program.communicate()[1]
     return program

@@ -50,24 +50,24 @@ def test_a_target_that_jumps_throws_neither_the_arm_nor_a_hand_and_repeats_to_th
 
 @pytest.mark.parametrize("title", POWERED)
 def test_an_arm_with_power_and_host_stays_up(title):
-    found = run_fault(BY_TITLE[title])
-    assert found.ending == POWERED[title]
-    assert found.drop < 0.002
-    assert found.speed < 0.02
-    assert found.lowered < 0.2
+    outcome = run_fault(BY_TITLE[title])
+    assert outcome.ending == POWERED[title]
+    assert outcome.drop < 0.002
+    assert outcome.speed < 0.02
+    assert outcome.lowered < 0.2
 
 
 def test_without_a_host_a_hand_meets_no_more_than_the_report_says():
-    found = run_fault(BY_TITLE["SIGKILL"], held=True)
-    assert found.ending == "keeps its last order"
-    assert 5.0 < found.force <= found.allowed
+    outcome = run_fault(BY_TITLE["SIGKILL"], held=True)
+    assert outcome.ending == "keeps its last order"
+    assert 5.0 < outcome.force <= outcome.allowed
 
 
 def test_an_arm_whose_servos_restarted_does_not_get_up_by_itself():
-    found = run_fault(BY_TITLE["brown-out: all servos reboot"])
-    assert "torque went off" in found.reason
-    assert not found.torque
-    assert found.drop > 0.1
+    outcome = run_fault(BY_TITLE["brown-out: all servos reboot"])
+    assert "torque went off" in outcome.reason
+    assert not outcome.torque
+    assert outcome.drop > 0.1
 
 
 # The worst case depends on where within a tick the hand takes hold.
@@ -86,5 +86,5 @@ def test_a_run_without_a_fault_repeats_to_the_bit():
 @pytest.mark.full
 @pytest.mark.parametrize("title", [m.title for m in FAULT_CASES if m.state != "no torque"])
 def test_no_hand_feels_more_than_is_allowed(title):
-    found = run_fault(BY_TITLE[title], held=True)
-    assert found.force <= found.allowed
+    outcome = run_fault(BY_TITLE[title], held=True)
+    assert outcome.force <= outcome.allowed

@@ -33,23 +33,23 @@ def test_a_place_of_start_that_is_none_is_refused(saved, start):
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("[" * 100_000, "is no motion file: it is nested too deeply"),
         ('{"format": ' + "1" * 5000 + "}", "is no motion file"),
         (None, "is no motion file: int too"),
     ],
 )
-def test_numbers_and_nests_that_are_too_large(saved, text, said, capsys):
+def test_numbers_and_nests_that_are_too_large(saved, text, message, capsys):
     path, data = saved
     if text is None:
         data["samples"][3][1] = 10**400
         text = json.dumps(data)
     path.write_text(text)
-    with pytest.raises(pliant.ConfigError, match=said):
+    with pytest.raises(pliant.ConfigError, match=message):
         Motion.load(path)
     assert main(["replay", "so101", str(path), "--backend", "sim"]) == 2
-    assert said in capsys.readouterr().err
+    assert message in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("factor", [1e-300, 1e-6, 1e6, 1e300])
@@ -72,9 +72,9 @@ def test_samples_that_are_microseconds_apart_come_back(tmp_path):
 def test_another_format_is_named_once(saved):
     path, data = saved
     path.write_text(json.dumps({**data, "format": "pliant motion 9"}))
-    with pytest.raises(pliant.ConfigError) as caught:
+    with pytest.raises(pliant.ConfigError) as error:
         Motion.load(path)
-    message = str(caught.value)
+    message = str(error.value)
     assert message == f"{path}: format is 'pliant motion 9', this pliant reads 'pliant motion 1'"
 
 

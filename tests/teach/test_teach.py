@@ -43,8 +43,8 @@ def play(motion, scene=(), seconds=30.0, during=lambda replay, tick: None, **opt
             tick.write(replay.step(tick.q, dt=tick.dt), replay.extra(arm))
             plant = arm.drive.plant
             force = float(np.linalg.norm(plant.hands[0].force)) if scene else 0.0
-            want = MODEL.forward_kinematics(motion.at(replay.time))[:3, 3]
-            rows.append((tick.began, replay.time, force, *plant.tool[:3, 3], *want))
+            expected = MODEL.forward_kinematics(motion.at(replay.time))[:3, 3]
+            rows.append((tick.began, replay.time, force, *plant.tool[:3, 3], *expected))
             during(replay, tick)
             if replay.done:
                 break
@@ -114,10 +114,10 @@ def test_a_contact_stops_it_until_it_is_told_to_go_on():
     for stop in (0.1, np.nan, np.inf):
         with pytest.raises(pliant.OutOfRangeError, match=r"stop \[N\] = .* is outside") as error:
             Replay(controller, settled, stop=stop)
-    said = str(error.value)
+    message = str(error.value)
     # The message does not name arguments of `ContactEstimator`, and its bound is accepted.
-    assert not {"accept", "guard", "touch", "kp_error"} & set(re.findall(r"\w+", said))
-    Replay(controller, settled, stop=float(said.split("[")[2].split(",", maxsplit=1)[0]))
+    assert not {"accept", "guard", "touch", "kp_error"} & set(re.findall(r"\w+", message))
+    Replay(controller, settled, stop=float(message.split("[")[2].split(",", maxsplit=1)[0]))
 
 
 def test_a_press_of_the_gripper_counts_once():
@@ -125,8 +125,10 @@ def test_a_press_of_the_gripper_counts_once():
         teacher, state = Teacher(arm), arm.read()
         jaw = arm.gripper
         shares = [0.5, 0.1, 0.05, 0.5, 0.0]
-        places = [jaw.closed + share * (jaw.opened - jaw.closed) for share in shares]
-        pressed = [teacher.gripper_pressed(replace(state, extra={"gripper": at})) for at in places]
+        positions = [jaw.closed + share * (jaw.opened - jaw.closed) for share in shares]
+        pressed = [
+            teacher.gripper_pressed(replace(state, extra={"gripper": at})) for at in positions
+        ]
         assert pressed == [False, True, False, False, True]
         assert teacher.extra(state)["gripper"][1] < 0.5 * jaw.limit
 
@@ -152,7 +154,7 @@ def test_trim_smooth_and_interpolate():
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("change", "message"),
     [
         ({"joints": NAMES[:4]}, "4 joints"),
         ({"time": np.zeros(101)}, "rise: sample 2 is at 0 s"),
@@ -160,8 +162,8 @@ def test_trim_smooth_and_interpolate():
         ({"extra": {"gripper": [0.0]}}, "as many"),
     ],
 )
-def test_a_motion_that_is_none_is_refused(change, words):
-    with pytest.raises(pliant.ConfigError, match=words):
+def test_a_motion_that_is_none_is_refused(change, message):
+    with pytest.raises(pliant.ConfigError, match=message):
         replace(wave(), **change)
 
 
@@ -225,7 +227,7 @@ def test_bounds_are_kept_and_what_is_slower_stays():
 
 
 @pytest.mark.parametrize(
-    ("name", "text", "words"),
+    ("name", "text", "message"),
     [
         ("m.json", "{", "m.json is no motion file: Expecting"),
         (
@@ -237,11 +239,11 @@ def test_bounds_are_kept_and_what_is_slower_stays():
         ("m.mcap", "\x89MCAP0\r\n", "m.mcap is no log of pliant: it ends before"),
     ],
 )
-def test_a_broken_file_is_named_with_what_is_wrong(tmp_path, capsys, name, text, words):
+def test_a_broken_file_is_named_with_what_is_wrong(tmp_path, capsys, name, text, message):
     pytest.importorskip("mcap")
     (tmp_path / name).write_bytes(text.encode("latin-1"))
     assert main(["replay", "so101", str(tmp_path / name), "--backend", "sim"]) == 2
-    assert words in capsys.readouterr().err
+    assert message in capsys.readouterr().err
 
 
 def test_a_missing_file_is_named_with_those_that_are_there(tmp_path, capsys):
@@ -251,7 +253,7 @@ def test_a_missing_file_is_named_with_those_that_are_there(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("flags", "words"),
+    ("flags", "message"),
     [
         (["--soft", "y=-2"], "--soft y=-2: a cap is a number from 0 up"),
         (["--soft", "y=nan"], "got nan"),
@@ -260,11 +262,11 @@ def test_a_missing_file_is_named_with_those_that_are_there(tmp_path, capsys):
         (["--speed", "50"], "speed must be in [0.05, 3]"),
     ],
 )
-def test_bad_flags_of_replay_are_named(tmp_path, capsys, flags, words):
+def test_bad_flags_of_replay_are_named(tmp_path, capsys, flags, message):
     wave().save(tmp_path / "wave.json")
     file = str(tmp_path / "wave.json")
     assert main(["replay", "so101", file, "--backend", "sim", *flags]) == 2
-    assert words in capsys.readouterr().err
+    assert message in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("backend", ["sim", "emulator"])
@@ -317,9 +319,9 @@ def test_the_command_teaches_nothing_without_a_hand(tmp_path, capsys):
     file = tmp_path / "m.json"
     flags = ["teach", "so101", str(file), "--backend", "sim", "--duration", "1"]
     assert main(flags) == 2
-    told = capsys.readouterr()
-    assert "do not touch" in told.out
-    assert "nothing moved" in told.err
+    captured = capsys.readouterr()
+    assert "do not touch" in captured.out
+    assert "nothing moved" in captured.err
     assert not file.exists()
     assert main(["teach", "so101", str(tmp_path / "m.txt"), "--backend", "sim"]) == 2
     assert main(["teach", "arm7", str(file), "--by", "gripper"]) == 2

@@ -21,8 +21,8 @@ class Script:
 
     def messages(self):
         self.calls += 1
-        got = self.at.pop(self.calls, ())
-        return list(got) if isinstance(got, list | tuple) else [got]
+        orders = self.at.pop(self.calls, ())
+        return list(orders) if isinstance(orders, list | tuple) else [orders]
 
     def due(self):
         return self.calls % self.every == 0

@@ -113,7 +113,7 @@ class Tab:
     def text(self):
         return self.page.evaluate("() => document.body.innerText")
 
-    def wait(self, found, what):
+    def wait(self, found, description):
         """Wait until `found(text)` is true for the text of the page, and return its result."""
         end = time.monotonic() + PATIENCE
         while time.monotonic() < end:
@@ -122,10 +122,10 @@ class Tab:
             if value:
                 return value
             self.page.wait_for_timeout(150)
-        raise AssertionError(f"the page never showed {what}; it shows:\n{text}")
+        raise AssertionError(f"the page never showed {description}; it shows:\n{text}")
 
-    def sees(self, words):
-        return self.wait(lambda text: words in text, repr(words))
+    def sees(self, phrase):
+        return self.wait(lambda text: phrase in text, repr(phrase))
 
     def place(self, name):
         """Return the position of the tool or of the target [mm]."""
@@ -133,8 +133,8 @@ class Tab:
         found = self.wait(lambda text: re.search(pattern, text), f"the place of the {name}")
         return np.array([int(number) for number in found.groups()])
 
-    def press(self, words):
-        self.page.get_by_role("button", name=words, exact=True).dispatch_event("click")
+    def press(self, label):
+        self.page.get_by_role("button", name=label, exact=True).dispatch_event("click")
 
     def canvas(self):
         """Return left, top, width and height of the scene [px]."""
@@ -205,8 +205,8 @@ def tab(shared, context):
 
 
 def test_page_loads_with_all_its_parts_and_nothing_from_elsewhere(tab):
-    for words in ("STOP", "Scene", "Softness", "Push", "off target", "torque limit", "100 Hz"):
-        tab.sees(words)
+    for text in ("STOP", "Scene", "Softness", "Push", "off target", "torque limit", "100 Hz"):
+        tab.sees(text)
     assert tab.foreign == []
 
 
@@ -260,10 +260,10 @@ def test_bad_settings_are_explained_and_the_old_ones_stay(tab):
 @pytest.mark.full
 def test_two_tabs_show_the_same(tab, shared, context):
     other = Tab(context, shared.link)
-    for wanted in (True, False):
+    for expected in (True, False):
         other.page.get_by_role("checkbox").first.dispatch_event("click")
         switch = tab.page.get_by_role("checkbox").first
-        tab.wait(lambda _, on=wanted, box=switch: box.is_checked() is on, "the other's switch")
+        tab.wait(lambda _, on=expected, box=switch: box.is_checked() is on, "the other's switch")
     other.page.close()
     tab.press("Push for 2 s")
     tab.wait(lambda _: tab.place("tool")[1] > 20, "an arm that lives on when a tab closes")
@@ -295,8 +295,8 @@ def test_without_the_token_there_is_no_page(shared, context):
 
 @pytest.mark.full
 def test_two_pages_in_one_browser_leave_each_other_alone(shared, view, context):
-    one, two = Tab(context, shared.link), Tab(context, view.link)
-    for tab in (one, two):
+    first, second = Tab(context, shared.link), Tab(context, view.link)
+    for tab in (first, second):
         tab.page.reload()
         tab.sees("under control")
     assert context.cookies() == []

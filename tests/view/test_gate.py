@@ -18,15 +18,15 @@ HOST = "127.0.0.1:8080"
 OWN = f"http://{HOST}"
 
 
-def ask(gate, path="/", *more, **headers):
+def ask(gate, path="/", *extra, **headers):
     sent = Headers({"Host": HOST})
-    for name, value in (*headers.items(), *more):
+    for name, value in (*headers.items(), *extra):
         sent[name.replace("_", "-")] = value
     return gate.respond(Request(path, sent))
 
 
-def open_socket(gate, path, *more, **headers):
-    return ask(gate, path, *more, Upgrade="websocket", **headers)
+def open_socket(gate, path, *extra, **headers):
+    return ask(gate, path, *extra, Upgrade="websocket", **headers)
 
 
 def refused(answer):

@@ -86,9 +86,9 @@ class Quick:
 def test_next_snapshot_is_wanted_without_a_look_at_the_orders(link):
     # During the descent no messages are handled, but snapshots are sent.
     for _ in range(3):
-        until = time.perf_counter() + 20.0
+        deadline = time.perf_counter() + 20.0
         while not link.due():
-            assert time.perf_counter() < until
+            assert time.perf_counter() < deadline
             time.sleep(0.005)
         link.send(np.zeros(10))
 
@@ -110,9 +110,9 @@ def flooded():
 def test_flood_reaches_the_loop_in_small_parts_and_the_stop_at_once():
     link, _ = flooded()
     received, calls = [], 0
-    until = time.perf_counter() + 20.0
+    deadline = time.perf_counter() + 20.0
     while messages.Stop() not in received:
-        assert time.perf_counter() < until
+        assert time.perf_counter() < deadline
         took = link.messages()
         assert len(took) <= messages.PER_TICK
         received += took
@@ -125,9 +125,9 @@ def test_flood_reaches_the_loop_in_small_parts_and_the_stop_at_once():
 def test_edits_are_not_taken_faster_than_they_cost(monkeypatch):
     monkeypatch.setattr("pliant.view.ipc.EDIT_PERIOD", 1e9)
     link, _ = flooded()
-    until, received = time.perf_counter() + 20.0, []
+    deadline, received = time.perf_counter() + 20.0, []
     while messages.Stop() not in received:
-        assert time.perf_counter() < until
+        assert time.perf_counter() < deadline
         received += link.messages()
     for _ in range(100):
         received += link.messages()
@@ -136,10 +136,10 @@ def test_edits_are_not_taken_faster_than_they_cost(monkeypatch):
 
 def test_page_that_floods_still_takes_snapshots():
     link, endpoint = flooded()
-    until = time.perf_counter() + 20.0
+    deadline = time.perf_counter() + 20.0
     for number in range(3):
         while not link.due():
-            assert time.perf_counter() < until
+            assert time.perf_counter() < deadline
             time.sleep(0.005)
         link.send(np.full(3, number))
         np.testing.assert_array_equal(endpoint.receive(), np.full(3, number))

@@ -115,10 +115,10 @@ BAD = (math.nan, math.inf, -math.inf, 1e300, 150.0, 100.1, 1.0)
 @pytest.mark.parametrize("axis", range(3))
 @pytest.mark.parametrize("far", [*BAD, -1.0])
 def test_target_out_of_reach_is_refused(axis, far):
-    place = [0.2, 0.0, 0.1]
-    place[axis] = far
+    position = [0.2, 0.0, 0.1]
+    position[axis] = far
     with pytest.raises(ConfigError, match=r"the arm reaches 0\.\d+ m|not finite|e\+300 m"):
-        messages.check_target(messages.Target(pose(*place)), MODEL)
+        messages.check_target(messages.Target(pose(*position)), MODEL)
 
 
 @pytest.mark.parametrize(
@@ -146,7 +146,7 @@ def test_pushes_and_hands_are_bounded(bad):
     ):
         with pytest.raises(ConfigError, match="push: "):
             messages.check_push(message, max_push)
-    for place in ((150.0 if bad == 1.0 else bad, 0.0, 0.0), (0.0, 0.0)):
+    for position in ((150.0 if bad == 1.0 else bad, 0.0, 0.0), (0.0, 0.0)):
         with pytest.raises(ConfigError, match="hand: "):
-            messages.check_grab(messages.Grab(1, None, place))
+            messages.check_grab(messages.Grab(1, None, position))
     messages.check_push(messages.Push((0.9, -0.9, 0.0), (0.5, 0.0, 0.0), 2.0), max_push)

@@ -127,7 +127,7 @@ def test_grabbing_what_is_no_part_of_the_arm_does_nothing(script):
 
 
 @pytest.mark.parametrize(
-    ("message", "words"),
+    ("message", "error_text"),
     [
         (messages.Change(1, "y", {"soft": (30.0, 30.0)}), "axes.y.soft = 30"),
         (messages.Change(1, "y", {"soft": (float("nan"), 1.0)}), "axes.y.soft"),
@@ -138,13 +138,13 @@ def test_grabbing_what_is_no_part_of_the_arm_does_nothing(script):
         (messages.Law(1, "gravity"), "gravity"),
     ],
 )
-def test_bad_settings_are_said_and_the_old_ones_stay(script, message, words):
+def test_bad_settings_are_said_and_the_old_ones_stay(script, message, error_text):
     _, link = live(script, {4: message, 12: END})
     before, after = link.running[0], link.running[-1]
     count, text, wrong = after.notice
     assert count == 1
     assert wrong
-    assert words in text
+    assert error_text in text
     assert after.edit == 1
     assert after.shown.axes == before.shown.axes
     assert (after.shown.law, after.shown.preset) == (before.shown.law, before.shown.preset)
@@ -280,8 +280,8 @@ def test_door_opens_when_played(script):
 
 def test_person_takes_the_object_when_asked(script):
     session, _ = live(script, {10: messages.Play(), 300: END}, scene="hand-over")
-    thing = session._robot.plant.fixtures[0]
-    assert thing.released is not None
+    item = session._robot.plant.fixtures[0]
+    assert item.released is not None
 
 
 def test_wall_meets_little_more_than_the_cap(script):
@@ -332,11 +332,11 @@ def test_trouble_on_the_bus_is_said_and_torque_can_come_back(script):
     broken = []
 
     def trip():
-        got = inner()
+        result = inner()
         if link.calls == 20 and not broken:
             broken.append(True)
             raise ServoError("shoulder: it is too hot")
-        return got
+        return result
 
     link.messages = trip
     session.run(2)
