@@ -405,9 +405,11 @@ def open_door(case: Case, remedy: Remedy) -> tuple[float, float]:
 
 
 def rest(case: Case, remedy: Remedy, minutes: float) -> tuple[float, float, float, float]:
-    """Return reversals [1/s], relative heat [1], quiet time and simulated time at rest [min].
+    """Hold the arm at rest on its target, until the first sign of a limit cycle or for `minutes`.
 
-    The simulation ends with the first sign of a limit cycle.
+    Returns:
+        Reversals of the joint torques per joint and second [1/s]; mean squared torque relative to
+        that of gravity [1]; time until the tool moved [min]; and the time limit [min].
     """
     bench, arm = BENCHES[case.arm], model(case.arm)
     plant = case.build()
@@ -417,7 +419,7 @@ def rest(case: Case, remedy: Remedy, minutes: float) -> tuple[float, float, floa
     target = arm.forward_kinematics(bench.start)
     for _ in closed_loop(plant, law, target, SETTLE):
         pass
-    place, quiet = plant.tool[:3, 3], 0.0
+    start, quiet = plant.tool[:3, 3], 0.0
     torques: list[Array] = []
     speeds: list[float] = []
     seconds = max(60.0 * minutes, OBSERVED)
@@ -426,27 +428,29 @@ def rest(case: Case, remedy: Remedy, minutes: float) -> tuple[float, float, floa
             torques.append(plant.torque)
         speeds = [*speeds[1 - round(WINDOW / PERIOD) :], metrics.rms(plant.dq)]
         quiet = time + PERIOD
-        away = float(np.linalg.norm(plant.tool[:3, 3] - place))
+        drift = float(np.linalg.norm(plant.tool[:3, 3] - start))
         moves = len(speeds) * PERIOD >= WINDOW and metrics.rms(np.array(speeds)) > STILL
-        if away > STAYS or moves:
+        if drift > STAYS or moves:
             break
     observed = np.array(torques)
     band = REVERSAL * np.asarray(servos(case.arm).max_torque)
-    count = np.mean([_turns(column, size) for column, size in zip(observed.T, band, strict=True)])
+    count = np.mean(
+        [_reversals(column, size) for column, size in zip(observed.T, band, strict=True)]
+    )
     heat = float(np.mean(np.sum(observed**2, axis=1)) / np.sum(arm.gravity(bench.start) ** 2))
     return float(count) / (len(observed) * PERIOD), heat, quiet / 60.0, seconds / 60.0
 
 
-def _turns(values: Array, band: float) -> int:
-    """Return how often a signal changes its direction by more than `band`."""
-    turns, direction, extreme = 0, 0.0, values[0]
+def _reversals(values: Array, band: float) -> int:
+    """Count the reversals of a signal that are larger than `band`."""
+    reversals, direction, extreme = 0, 0.0, values[0]
     for value in values:
         if direction * (value - extreme) > 0.0:
             extreme = value
         elif abs(value - extreme) > band:
-            turns += direction != 0.0
+            reversals += direction != 0.0
             direction, extreme = np.sign(value - extreme), value
-    return turns
+    return reversals
 
 
 @dataclass(frozen=True, kw_only=True)

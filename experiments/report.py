@@ -1,4 +1,4 @@
-"""HTML report of the demo: measured numbers, statements judged by them, figures and tables."""
+"""HTML report of the demo: measurements, claims that they confirm or contradict, and figures."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Source = Literal["paper", "study"]
 
 
 class Verdict(StrEnum):
-    """Verdict on a statement: it agrees with the numbers of a run, or not (with a known reason)."""
+    """Verdict on a claim: the numbers agree; they differ for a known reason; or they do not agree."""
 
     AGREES = "agrees"
     DIFFERS = "differs because"
@@ -38,7 +38,7 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class Check:
-    """Test of a measured number: the interval in which a statement holds.
+    """Test of a measured number against the interval in which a claim is confirmed.
 
     Attributes:
         name: Name of the number.

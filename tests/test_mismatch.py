@@ -12,7 +12,7 @@ import pytest
 
 pytest.importorskip("mujoco", reason="plants are simulated: extra sim")
 
-from mismatch import DRAWN, Mismatch, Parameters, under
+from mismatch import RANDOM, Mismatch, Parameters, under
 
 import pliant
 from experiments import (
@@ -69,7 +69,7 @@ def promise(disturbance):
 
 def contact_gap(case):
     gears = campaign.REAL_GEARS[case.arm] if case.gears else None
-    drawn = {"friction": DRAWN, "damping": DRAWN, **({"kp": DRAWN} if case.kp else {})}
+    drawn = {"friction": RANDOM, "damping": RANDOM, **({"kp": RANDOM} if case.kp else {})}
     late = sum(case.delay) / contacts.RATE
     return Mismatch(
         plant=Parameters(gears=gears, delay=late),

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from mismatch import DRAWN, Mismatch, Parameters
+from mismatch import RANDOM, Mismatch, Parameters
 
 import pliant
 from experiments import joint_limit_rest
@@ -31,7 +31,7 @@ def beyond_the_limit(name, cap, ticks, law="cap"):
     """
     q, room = ARMS[name][0], 0.05
     model, late = limited(name, q, room), 2 * ticks / 100.0
-    gap = Mismatch(plant=Parameters(delay=late), assumed=Parameters(delay=late, reach=DRAWN))
+    gap = Mismatch(plant=Parameters(delay=late), assumed=Parameters(delay=late, reach=RANDOM))
     plant = gap.build(robots.load(name), delay=(ticks, ticks))
     spring = {"stiffness": 500.0} if law == "impedance" else {}
     settings = pliant.Settings(

@@ -93,7 +93,7 @@ def test_a_ready_arm_on_an_emulator_of_its_own():
         move(arm, "arm7")
         order = chain.emulator.call("log.order", chain.specs[0].id)
         assert not chain.emulator.call("log.eeprom_writes")
-        assert [found.voltage for found in chain.found] == [18.5] * 7
+        assert [servo.voltage for servo in chain.found] == [18.5] * 7
         arm.disable_torque()
     assert order[:3] == ["limit", "goal", "torque on"]
 

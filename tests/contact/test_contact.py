@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from mismatch import DRAWN, Mismatch, Parameters
+from mismatch import RANDOM, Mismatch, Parameters
 
 pytest.importorskip("mujoco", reason="contacts are felt in the simulator: extra sim")
 
@@ -137,7 +137,7 @@ def test_events_of_the_experiment_are_those_of_the_core():
 
 def test_free_motion_stays_within_the_bound_and_strong_contacts_are_seen():
     bench = Bench(MAIN)
-    drawn = Parameters(friction=DRAWN, damping=DRAWN)
+    drawn = Parameters(friction=RANDOM, damping=RANDOM)
     with Mismatch(plant=Parameters(), assumed=drawn):
         free = [bench.free(number, 20.0) for number in range(2)]
         met = [bench.contact(number) for number in range(12)]

@@ -7,7 +7,7 @@ import pytest
 
 pytest.importorskip("mujoco", reason="the arm needs the extra sim")
 
-from emulator.helpers import BAUD, four, p1, two
+from emulator.helpers import BAUD, le16, le32, p1
 
 import pliant.robots
 from pliant import ConfigError
@@ -47,7 +47,7 @@ def hold(emulator, share, goals=None):
     blocks = [
         byte
         for id, goal in enumerate(goals, 1)
-        for byte in (id, *two(int(goal)), 0, 0, 0, 0, *two(share))
+        for byte in (id, *le16(int(goal)), 0, 0, 0, 0, *le16(share))
     ]
     ask(emulator, p1(0xFE, 0x83, 42, 8, *blocks))
 
@@ -169,13 +169,13 @@ def test_an_arm_of_current_limited_servos_holds_and_its_watchdog_stops_it():
     pose = np.array([-0.13, -0.6, 0.72, -1.74, 0.93, 0.68, -0.17])
     emulator = emulate(arm, made, pose, clock="steps")
     ids = range(1, 8)
-    assert ask(emulator, packet_2(0xFE, 3, bytes([*two(64), 1]))) == b""
+    assert ask(emulator, packet_2(0xFE, 3, bytes([*le16(64), 1]))) == b""
     emulator.world.advance(1.0)
     assert np.abs(emulator.plant.q - pose).max() < 0.25
     assert np.abs(emulator.plant.dq).max() < 0.02
-    ask(emulator, packet_2(0xFE, 3, bytes([*two(98), 5])))
-    block = b"".join(bytes([id, *four(emulator.servo(id).position + 600)]) for id in ids)
-    ask(emulator, packet_2(0xFE, 0x83, bytes([*two(116), *two(4)]) + block))
+    ask(emulator, packet_2(0xFE, 3, bytes([*le16(98), 5])))
+    block = b"".join(bytes([id, *le32(emulator.servo(id).position + 600)]) for id in ids)
+    ask(emulator, packet_2(0xFE, 0x83, bytes([*le16(116), *le16(4)]) + block))
     emulator.world.advance(0.12)
     assert {emulator.servo(id).get("bus_watchdog") for id in ids} == {-1}
     stopped = emulator.plant.q

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from emulator.helpers import BAUD, ask, p1, two, wire
+from emulator.helpers import BAUD, ask, le16, p1, wire
 
 from pliant import ConfigError
 from pliant.emulator import Device, Faults
@@ -35,7 +35,7 @@ def test_deaf_servos_miss_their_part_of_a_sync_write():
     line, faults = bus()
     faults.inject("deaf", 2)
     before = line.servos[1].get("torque_limit")
-    ask(line, p1(0xFE, 0x83, 48, 2, 1, *two(100), 2, *two(100), 3, *two(100)))
+    ask(line, p1(0xFE, 0x83, 48, 2, 1, *le16(100), 2, *le16(100), 3, *le16(100)))
     assert [s.get("torque_limit") for s in line.servos] == [100, before, 100]
 
 

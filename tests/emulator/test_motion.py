@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
-from emulator.helpers import two
+from emulator.helpers import le16
 
 from pliant import ConfigError
 from pliant.emulator import MODELS, Device, Load
@@ -162,4 +162,4 @@ def test_loss_of_the_plug_ends_torque():
     servo.plugged = False
     made.advance(0.2)
     assert servo.position == 2048
-    assert two(servo.position) == (0, 8)
+    assert le16(servo.position) == (0, 8)

@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 
 import pytest
-from emulator.helpers import Host, p1, two, without_extra
+from emulator.helpers import Host, le16, p1, without_extra
 
 from pliant import ConfigError, ServoError
 from pliant.emulator import Device, Emulator, EmulatorProcess
@@ -20,7 +20,7 @@ def remote():
 
 def test_answers_and_takes_orders(remote):
     with Host(remote.port) as host:
-        os.write(host.fd, p1(0xFE, 3, 48, *two(321)))
+        os.write(host.fd, p1(0xFE, 3, 48, *le16(321)))
         remote.call("advance", 0.05)
     assert remote.call("time") == pytest.approx(0.05)
     (write,) = remote.call("log.writes", "torque_limit")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from emulator.helpers import p1, two
+from emulator.helpers import le16, p1
 
 from pliant import ConfigError
 from pliant.emulator import Device, SerialLine, Timing
@@ -24,7 +24,7 @@ def cycle(model, requests, baud=1_000_000, delay=0, **timing):
 
 def sync_2(instruction, address, length, data=None):
     parts = b"".join(bytes([id]) + (bytes(length) if data else b"") for id in IDS)
-    return packet_2(0xFE, instruction, bytes([*two(address), *two(length)]) + parts)
+    return packet_2(0xFE, instruction, bytes([*le16(address), *le16(length)]) + parts)
 
 
 P1_RX = [p1(id, 2, 36, 8) for id in IDS] + [

@@ -59,7 +59,7 @@ def test_ros_command_serves_a_node_until_ctrl_c(start, client_of):
     assert f"ROS 2 node /left/arm at tcp/127.0.0.1:{port}" in said
     client = client_of(port)
     client.subscribe("/left/joint_states", "sensor_msgs/msg/JointState")
-    until(lambda: client.got["/left/joint_states"], "a state")
+    until(lambda: client.received["/left/joint_states"], "a state")
     answer = client.call("/left/arm/get_parameters", "GetParameters", names=["axes.y.soft"])
     assert answer.values[0].double_value == 2.0
     ended_by_ctrl_c(program)
@@ -81,7 +81,7 @@ def test_foxglove_command_shows_the_arm_until_ctrl_c(start):
 
     arrived(lambda: "/joint_states" in client.channels, "the list of channels")
     client.subscribe("/joint_states")
-    arrived(lambda: client.got.get("/joint_states"), "a state")
+    arrived(lambda: client.received.get("/joint_states"), "a state")
     assert "gripper" in client.decode("/joint_states").name
     client.send(op="getParameters", parameterNames=["axes.y.soft"], id="read")
     arrived(lambda: "parameterValues" in client.answers, "the parameter")

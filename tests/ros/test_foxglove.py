@@ -73,7 +73,9 @@ def test_state_and_description_arrive(running, client):
     ]
     for topic in topics:
         client.subscribe(topic)
-    wait(running, client, lambda: all(client.got.get(topic) for topic in topics), "all messages")
+    wait(
+        running, client, lambda: all(client.received.get(topic) for topic in topics), "all messages"
+    )
     model = running.arm.model
     joints = client.decode("/joint_states")
     assert list(joints.name) == [*model.joint_names, "gripper"]
@@ -115,7 +117,7 @@ def test_caps_are_parameters_that_can_be_set(running, client):
     )
     assert client.answers["parameterValues"]["parameters"][0]["value"] == 3.5
     text = "parameters refused: axes.x.soft = 150 is outside [0, firm = 4.5]"
-    wait(running, client, lambda: text in running.said(), "the refusal")
+    wait(running, client, lambda: text in running.log_text(), "the refusal")
 
 
 def publish_until(running, client, message, condition, description):
@@ -159,7 +161,7 @@ def test_json_that_is_no_pose_is_refused(running, client):
     before = running.bridge.target.copy()
     text = "a geometry_msgs/msg/PoseStamped has the fields header, pose"
     publish_until(
-        running, client, {"position": [1, 2, 3]}, lambda: text in running.said(), "the refusal"
+        running, client, {"position": [1, 2, 3]}, lambda: text in running.log_text(), "the refusal"
     )
     assert (running.bridge.target == before).all()
 
@@ -181,7 +183,7 @@ def test_without_permission_it_only_shows(tmp_path_factory):
         client.socket.send(struct.pack("<BI", 1, 1) + json.dumps({"pose": pose}).encode())
         # The server answers in order, so the commands have been handled when a state arrives.
         client.subscribe("/joint_states")
-        wait(running, client, lambda: client.got.get("/joint_states"), "a state")
+        wait(running, client, lambda: client.received.get("/joint_states"), "a state")
         running.ticks_of(50)
         assert (running.bridge.target == before).all()
         assert running.controller.axes["x"].soft == (1.0, 1.0)

@@ -7,7 +7,7 @@ import pytest
 pytest.importorskip("zenoh", reason="ROS 2 needs zenoh: pip install 'pliant[ros]'")
 
 import pliant
-from tests.ros.conftest import answer, free_port, run_node, send_until, six
+from tests.ros.conftest import answer, axis_values, free_port, run_node, send_until
 
 
 def test_stiffness_from_the_client_changes_the_springs_of_law_impedance(
@@ -22,7 +22,7 @@ def test_stiffness_from_the_client_changes_the_springs_of_law_impedance(
             springs,
             client,
             "/pliant/target_stiffness",
-            six(client, [150.0, nan, nan, nan, nan, nan]),
+            axis_values(client, [150.0, nan, nan, nan, nan, nan]),
             condition=lambda: springs.controller.axes["x"].stiffness == (150.0, 150.0),
             description="the change of the stiffness",
         )
