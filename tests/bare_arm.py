@@ -33,8 +33,10 @@ def bare_arm(
         **options: Options of `pliant.Arm` and `pliant.sim.Plant`.
     """
     model = pliant.robots.load(robot)
-    own = {name: value for name, value in options.items() if name in ARM_OPTIONS}
-    plant = Plant(model, **{k: v for k, v in options.items() if k not in own or k == "rate"})
+    arm_options = {name: value for name, value in options.items() if name in ARM_OPTIONS}
+    plant = Plant(
+        model, **{k: v for k, v in options.items() if k not in arm_options or k == "rate"}
+    )
     if q is not None:
         plant.reset(q)
-    return pliant.Arm(model, SimDrive(plant, real_time=real_time), **own)
+    return pliant.Arm(model, SimDrive(plant, real_time=real_time), **arm_options)

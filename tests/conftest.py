@@ -95,8 +95,8 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
         def _split_scope(self, nodeid: str) -> str:
             file, _, name = nodeid.partition("::")
             test = f"{file}::{name.partition('[')[0]}"
-            alone = is_slow(file) or file in PROGRAMS
-            return UNITS.get(test) or UNITS.get(file) or (nodeid if alone else file)
+            is_single = is_slow(file) or file in PROGRAMS
+            return UNITS.get(test) or UNITS.get(file) or (nodeid if is_single else file)
 
     return Units(config, log)
 

@@ -67,43 +67,43 @@ def serve(number: int) -> Any:
     return _code(request["words"])
 
 
-def _code(words: list[str]) -> Any:
+def _code(arguments: list[str]) -> Any:
     """Return the code of `-c CODE`, `-m MODULE` or `FILE`, with its arguments in `sys.argv`."""
-    if words[0] == "-m":
-        sys.argv[:] = words[1:]
+    if arguments[0] == "-m":
+        sys.argv[:] = arguments[1:]
         text = (
             "import runpy, sys; runpy.run_module(sys.argv[0], run_name='__main__', alter_sys=True)"
         )
         return compile(text, "<string>", "exec")
-    if words[0] == "-c":
-        sys.argv[:] = ["-c", *words[2:]]
-        return compile(words[1], "<string>", "exec")
-    sys.argv[:] = words
-    sys.path[0] = str(Path(words[0]).parent)
-    sys.modules["__main__"].__file__ = words[0]
-    return compile(Path(words[0]).read_text(encoding="utf-8"), words[0], "exec")
+    if arguments[0] == "-c":
+        sys.argv[:] = ["-c", *arguments[2:]]
+        return compile(arguments[1], "<string>", "exec")
+    sys.argv[:] = arguments
+    sys.path[0] = str(Path(arguments[0]).parent)
+    sys.modules["__main__"].__file__ = arguments[0]
+    return compile(Path(arguments[0]).read_text(encoding="utf-8"), arguments[0], "exec")
 
 
 @cache
 def _server() -> tuple[socket.socket, threading.Lock]:
-    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    local, remote = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     start = f"import sys; sys.path.append({str(Path(__file__).parent)!r}); import programs"
-    start += f"; sys.path.pop(); exec(programs.serve({theirs.fileno()}))"
+    start += f"; sys.path.pop(); exec(programs.serve({remote.fileno()}))"
     server = subprocess.Popen(
         [sys.executable, "-c", start],
         env={**os.environ, "MUJOCO_GL": "disable"},
         stdin=DEVNULL,
-        pass_fds=[theirs.fileno()],
+        pass_fds=[remote.fileno()],
         start_new_session=True,
     )
-    theirs.close()
+    remote.close()
 
     @atexit.register
     def end() -> None:
-        ours.close()
+        local.close()
         server.wait()
 
-    return ours, threading.Lock()
+    return local, threading.Lock()
 
 
 def _ask(request: Any, files: tuple[int, ...] = ()) -> Any:
@@ -127,7 +127,7 @@ class Program:
 
     def __init__(
         self,
-        *words: str,
+        *arguments: str,
         stdin: Any = DEVNULL,
         stdout: Any = PIPE,
         stderr: Any = PIPE,
@@ -136,28 +136,28 @@ class Program:
         start_new_session: bool = False,
     ) -> None:
         request = {
-            "words": list(words),
+            "words": list(arguments),
             "folder": str(cwd or Path.cwd()),
             "environment": dict(os.environ if env is None else env),
             "session": start_new_session,
         }
-        theirs, ours, given = [], [], (stdin, stdout, stderr)
-        for number, stream in enumerate(given):
-            own = None
+        remote_ends, local_ends, streams = [], [], (stdin, stdout, stderr)
+        for number, stream in enumerate(streams):
+            local_end = None
             if stream == PIPE:
                 ends = os.pipe()
-                own, there = ends if number else ends[::-1]
-                own = os.fdopen(own, "r" if number else "w", encoding="utf-8")
+                local_end, remote_end = ends if number else ends[::-1]
+                local_end = os.fdopen(local_end, "r" if number else "w", encoding="utf-8")
             elif stream == DEVNULL:
-                there = os.open(os.devnull, os.O_RDWR)
+                remote_end = os.open(os.devnull, os.O_RDWR)
             else:
-                there = os.dup(stream if isinstance(stream, int) else stream.fileno())
-            ours.append(own)
-            theirs.append(there)
-        self.stdin, self.stdout, self.stderr = ours
+                remote_end = os.dup(stream if isinstance(stream, int) else stream.fileno())
+            local_ends.append(local_end)
+            remote_ends.append(remote_end)
+        self.stdin, self.stdout, self.stderr = local_ends
         self.returncode: int | None = None
-        self.pid: int = _ask(request, tuple(theirs))
-        for file in theirs:
+        self.pid: int = _ask(request, tuple(remote_ends))
+        for file in remote_ends:
             os.close(file)
 
     def __enter__(self) -> Program:
@@ -185,14 +185,14 @@ class Program:
 
     def communicate(self, timeout: float = 100.0) -> tuple[str, str]:
         """Wait for the end of the program; return the text of stdout and stderr, if piped."""
-        deadline, said = time.monotonic() + timeout, {self.stdout: "", self.stderr: ""}
+        deadline, output = time.monotonic() + timeout, {self.stdout: "", self.stderr: ""}
         if self.stdin is not None:
             self.stdin.close()
 
         def read(stream: Any) -> None:
-            said[stream] = stream.read()
+            output[stream] = stream.read()
 
-        readers = [threading.Thread(target=read, args=[s], daemon=True) for s in said if s]
+        readers = [threading.Thread(target=read, args=[s], daemon=True) for s in output if s]
         for reader in readers:
             reader.start()
         for reader in readers:
@@ -201,7 +201,7 @@ class Program:
                 raise subprocess.TimeoutExpired(f"process {self.pid}", timeout)
         self.wait(max(deadline - time.monotonic(), LOOK))
         self._close()
-        return said[self.stdout], said[self.stderr]
+        return output[self.stdout], output[self.stderr]
 
     def send_signal(self, number: int) -> None:
         """Send a signal to the program, unless it has ended."""
@@ -217,13 +217,15 @@ class Program:
             stream.close()
 
 
-def run(*words: str, timeout: float = 100.0, **options: Any) -> subprocess.CompletedProcess[str]:
+def run(
+    *arguments: str, timeout: float = 100.0, **options: Any
+) -> subprocess.CompletedProcess[str]:
     """Run a program to its end, like `subprocess.run` with captured text."""
-    program = Program(*words, **options)
+    program = Program(*arguments, **options)
     try:
         stdout, stderr = program.communicate(timeout)
     except BaseException:
         program.kill()
         program.wait()
         raise
-    return subprocess.CompletedProcess(list(words), program.returncode, stdout, stderr)
+    return subprocess.CompletedProcess(list(arguments), program.returncode, stdout, stderr)

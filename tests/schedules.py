@@ -385,8 +385,8 @@ class Pipe:
         self.received, self.other, self.is_closed = deque(), None, False
 
     @staticmethod
-    def pair(scheduler, one, two):
-        ends = Pipe(scheduler, one), Pipe(scheduler, two)
+    def pair(scheduler, first, second):
+        ends = Pipe(scheduler, first), Pipe(scheduler, second)
         ends[0].other, ends[1].other = ends[1], ends[0]
         return ends
 

@@ -24,17 +24,17 @@ SELF_EXPLAINING = {"grippers", "handle_signals", "power_budget", "rate", "table"
 
 def words_of(*objects: object) -> set[str]:
     """Return the public names of these classes and modules."""
-    found = set()
+    words = set()
     for item in objects:
-        found |= {name for name in dir(item) if not name.startswith("_")}
+        words |= {name for name in dir(item) if not name.startswith("_")}
         if inspect.isclass(item):
-            found |= set(inspect.signature(item).parameters)
+            words |= set(inspect.signature(item).parameters)
             documented = re.findall(r"^ +([\w, ]+): ", item.__doc__ or "", re.MULTILINE)
-            found |= {name for names in documented for name in names.split(", ")}
-    return found
+            words |= {name for names in documented for name in names.split(", ")}
+    return words
 
 
-SPOKEN = words_of(
+PUBLIC_NAMES = words_of(
     *(pliant, pliant.Arm, pliant.Axis, pliant.Command, pliant.Controller, pliant.Loop),
     *(pliant.feasibility.AxisReport, pliant.feasibility.PoseReport),
     *(pliant.Servos, pliant.Settings, pliant.Task, pliant.Tick, pliant.types.WrenchEstimate),
@@ -68,5 +68,5 @@ def test_every_exception_is_listed_with_the_built_in_that_it_derives_from():
 @pytest.mark.parametrize("term", sorted(TERMS))
 def test_every_term_exists(term):
     last = term.split(".")[-1].split("(")[0]
-    plain = {"x y z roll pitch yaw", "q", "dq", "target"}
-    assert term in plain or last in SPOKEN, f"{term} is not a public name"
+    symbols = {"x y z roll pitch yaw", "q", "dq", "target"}
+    assert term in symbols or last in PUBLIC_NAMES, f"{term} is not a public name"

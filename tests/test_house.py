@@ -68,8 +68,8 @@ def test_import_loads_no_extra(tmp_path):
 def python_blocks(text: str) -> list[str]:
     """Return Python blocks of a Markdown text, except those under `<!-- not run: reason -->`."""
     pattern = r"(<!-- not run: [^>]+ -->\n+)?^```python\n(.*?)^```"
-    found = re.findall(pattern, text, flags=re.MULTILINE | re.DOTALL)
-    return [block for excuse, block in found if not excuse]
+    matches = re.findall(pattern, text, flags=re.MULTILINE | re.DOTALL)
+    return [block for reason, block in matches if not reason]
 
 
 def documents() -> list[Path]:
@@ -93,10 +93,10 @@ def test_python_in_documents_runs(document, tmp_path):
 def test_rust_in_documents_is_the_program_that_is_tested(document):
     """Compare the Rust code line by line with the example in lib.rs, a documentation test."""
     crate = (ROOT / "rust" / "core" / "src" / "lib.rs").read_text(encoding="utf-8").split("```")[1]
-    shown = [line[4:] for line in crate.splitlines()[1:] if not line.startswith("//! #")]
+    expected = [line[4:] for line in crate.splitlines()[1:] if not line.startswith("//! #")]
     text = (ROOT / document).read_text(encoding="utf-8").split("```rust\n")[1].split("```")[0]
-    told = iter([line.strip() for line in text.splitlines()])
-    missing = [line for line in shown if line.strip() and line.strip() not in told]
+    lines = iter([line.strip() for line in text.splitlines()])
+    missing = [line for line in expected if line.strip() and line.strip() not in lines]
     assert not missing, f"not in {document}, in this order: {missing}"
 
 
@@ -105,12 +105,12 @@ EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
 def test_gallery_is_of_this_example(example):
-    number, kept = example.stem[:2], ROOT / "docs" / "gallery" / f"{example.stem}.txt"
-    assert kept.exists(), f"{example.name} is not in the gallery: make gallery"
-    digest, *said = kept.read_text(encoding="utf-8").splitlines()
-    now = hashlib.sha256(example.read_bytes()).hexdigest()[:16]
-    assert digest == now, f"{example.name} changed since: make gallery ARGS={number}"
-    assert said, "it prints nothing"
+    number, file = example.stem[:2], ROOT / "docs" / "gallery" / f"{example.stem}.txt"
+    assert file.exists(), f"{example.name} is not in the gallery: make gallery"
+    digest, *output = file.read_text(encoding="utf-8").splitlines()
+    current = hashlib.sha256(example.read_bytes()).hexdigest()[:16]
+    assert digest == current, f"{example.name} changed since: make gallery ARGS={number}"
+    assert output, "it prints nothing"
 
 
 #: Examples whose output is compared with the gallery: they take a second or two, and their output
@@ -134,10 +134,10 @@ def test_example_runs(example, tmp_path):
 NUMBER = re.compile(r"[-+−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 
 
-def near(kept: str, now: str) -> bool:
+def near(first: str, second: str) -> bool:
     """Return True if two printed numbers agree: within 5 %, or within one of the last digit."""
-    x, y = (float(text.replace("−", "-")) for text in (kept, now))
-    digit = 10.0 ** -len(kept.partition(".")[2].partition("e")[0])
+    x, y = (float(text.replace("−", "-")) for text in (first, second))
+    digit = 10.0 ** -len(first.partition(".")[2].partition("e")[0])
     return abs(x - y) <= max(0.05 * abs(x), 1.01 * digit)
 
 
@@ -146,14 +146,14 @@ def near(kept: str, now: str) -> bool:
 @pytest.mark.parametrize("number", AGAIN)
 def test_gallery_is_of_this_law(number, tmp_path):
     (example,) = (ROOT / "examples").glob(f"{number}_*.py")
-    kept = (ROOT / "docs" / "gallery" / f"{example.stem}.txt").read_text(encoding="utf-8")
+    stored = (ROOT / "docs" / "gallery" / f"{example.stem}.txt").read_text(encoding="utf-8")
     result = run_program(example, tmp_path, COLUMNS="100")
     assert result.returncode == 0, result.stderr
-    told = [kept.split("\n", 1)[1], result.stdout]
-    words = [NUMBER.sub("#", text).split() for text in told]
-    numbers = [NUMBER.findall(text) for text in told]
+    outputs = [stored.split("\n", 1)[1], result.stdout]
+    tokens = [NUMBER.sub("#", text).split() for text in outputs]
+    numbers = [NUMBER.findall(text) for text in outputs]
     stale = f"{example.name} says something else now: make gallery ARGS={number}\n{result.stdout}"
-    assert words[0] == words[1], stale
+    assert tokens[0] == tokens[1], stale
     assert all(near(a, b) for a, b in zip(*numbers, strict=True)), stale
 
 
@@ -240,11 +240,11 @@ def test_wheel_works_away_from_the_sources(wheel, tmp_path):
 
 def test_source_distribution_can_be_built(wheel):
     archive = built("pliant-*.tar.gz")
-    with tarfile.open(archive) as opened:
-        names = {name.partition("/")[2] for name in opened.getnames()}
-    needed = {"Cargo.toml", "Cargo.lock", "pyproject.toml", "LICENSE", "README.md"}
-    needed |= {".cargo/config.toml", "THIRD_PARTY_LICENSES"}
+    with tarfile.open(archive) as tar:
+        names = {name.partition("/")[2] for name in tar.getnames()}
+    required = {"Cargo.toml", "Cargo.lock", "pyproject.toml", "LICENSE", "README.md"}
+    required |= {".cargo/config.toml", "THIRD_PARTY_LICENSES"}
     crates = {
         f"rust/{crate}/{file}" for crate in ("core", "py") for file in ("Cargo.toml", "src/lib.rs")
     }
-    assert needed | crates | {"python/pliant/py.typed"} <= names
+    assert required | crates | {"python/pliant/py.typed"} <= names

@@ -69,11 +69,11 @@ def promise(disturbance):
 
 def contact_gap(case):
     gears = campaign.REAL_GEARS[case.arm] if case.gears else None
-    drawn = {"friction": RANDOM, "damping": RANDOM, **({"kp": RANDOM} if case.kp else {})}
-    late = sum(case.delay) / contacts.RATE
+    random_values = {"friction": RANDOM, "damping": RANDOM, **({"kp": RANDOM} if case.kp else {})}
+    delay = sum(case.delay) / contacts.RATE
     return Mismatch(
-        plant=Parameters(gears=gears, delay=late),
-        assumed=Parameters(gears=gears if case.identified else None, delay=late, **drawn),
+        plant=Parameters(gears=gears, delay=delay),
+        assumed=Parameters(gears=gears if case.identified else None, delay=delay, **random_values),
     )
 
 
@@ -211,8 +211,8 @@ def test_equal_sides_are_refused():
     "differs", [{"kp": 1.25}, {"friction": 0.7}, {"payload": 0.1}, {"delay": 0.01}]
 )
 def test_a_plant_that_is_as_assumed_is_noticed(differs):
-    said = pytest.raises(AssertionError, match=f"Plant: {next(iter(differs))} is .* stated is")
-    with said, plant(**differs):
+    failure = pytest.raises(AssertionError, match=f"Plant: {next(iter(differs))} is .* stated is")
+    with failure, plant(**differs):
         connected()
 
 
@@ -231,10 +231,10 @@ def test_a_drive_that_hands_out_the_plant_s_stiffness_is_noticed():
 
 def test_a_controller_with_the_true_values_is_detected():
     model = pliant.robots.so101()
-    told = pliant.robots.so101(payload=(0.1, (0.0, 0.0, 0.0)))
+    true_model = pliant.robots.so101(payload=(0.1, (0.0, 0.0, 0.0)))
     settings = pliant.Settings(task="xyz")
     for gap, controller in (
-        (plant(payload=0.1), pliant.Controller(told, settings)),
+        (plant(payload=0.1), pliant.Controller(true_model, settings)),
         (plant(delay=0.02), pliant.Controller(model, settings.replace(delay=0.02))),
         (
             plant(friction=0.5),

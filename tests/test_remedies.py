@@ -55,13 +55,13 @@ OBJECTS = {
     "array": np.ma.MaskedArray,
 }
 #: Words that follow "pliant" in the sentences of error texts and are not commands.
-WORDS = {"arm", "counts", "does", "motion", "reads", "task", "was"}
+NOT_COMMANDS = {"arm", "counts", "does", "motion", "reads", "task", "was"}
 #: `UNITS`: texts in brackets that are units or markup tags of rich, not tables of a configuration.
 #: `BESIDE_SECTION`: words that may follow the name of a table in a sentence.
 UNITS = {"m", "mm", "ms", "kg", "rad", "s", "bold", "dim", "green", "red", "yellow"}
 BESIDE_SECTION = {"a", "and", "in", "of", "the"}
 #: Values that replace the placeholders of a command.
-STAND_INS = {"ARM": "so101", "OLD:NEW": "1:2"}
+PLACEHOLDERS = {"ARM": "so101", "OLD:NEW": "1:2"}
 
 
 def python_texts(path: Path) -> list[str]:
@@ -105,9 +105,9 @@ RUST = re.compile(
 def rust_texts(path: Path) -> list[str]:
     """Return the string literals of a Rust file that are sentences; tests are left out."""
     code = path.read_text(encoding="utf-8").split("#[cfg(test)]")[0]
-    found = [match["text"] for match in RUST.finditer(code) if match["text"] is not None]
-    joined = [re.sub(r"\\\n\s*", "", text).replace('\\"', '"') for text in found]
-    return [re.sub(r"\{[^{}]*\}", "…", text) for text in joined if " " in text]
+    literals = [match["text"] for match in RUST.finditer(code) if match["text"] is not None]
+    texts = [re.sub(r"\\\n\s*", "", text).replace('\\"', '"') for text in literals]
+    return [re.sub(r"\{[^{}]*\}", "…", text) for text in texts if " " in text]
 
 
 @cache
@@ -117,12 +117,12 @@ def texts() -> dict[str, str]:
     rust = sorted(
         path for crate in ("core", "py") for path in (ROOT / "rust" / crate / "src").rglob("*.rs")
     )
-    found = {}
-    for paths, read in ((python, python_texts), (rust, rust_texts)):
+    result = {}
+    for paths, extract in ((python, python_texts), (rust, rust_texts)):
         for path in paths:
-            for text in read(path):
-                found[text] = path.relative_to(ROOT).as_posix()
-    return found
+            for text in extract(path):
+                result[text] = path.relative_to(ROOT).as_posix()
+    return result
 
 
 def wrong(find, judge) -> list[str]:
@@ -135,12 +135,12 @@ def wrong(find, judge) -> list[str]:
     ]
 
 
-def command_of(words: list[str]) -> tuple[str, list[str]]:
+def command_of(tokens: list[str]) -> tuple[str, list[str]]:
     """Return the command at the beginning of a list of words ("" if none), and the other words."""
     for size in (2, 1):
-        if " ".join(words[:size]) in COMMANDS:
-            return " ".join(words[:size]), words[size:]
-    return "", words
+        if " ".join(tokens[:size]) in COMMANDS:
+            return " ".join(tokens[:size]), tokens[size:]
+    return "", tokens
 
 
 @cache
@@ -174,50 +174,54 @@ def commands(text: str, _file: str) -> list[str]:
     return re.findall(r"\bpliant ((?:[a-z]+)(?: (?:--[a-z-]+|[a-z]+|[A-Z:]+)(?=[ `:]|$))*)", text)
 
 
-def is_command(words: str) -> bool:
+def is_command(text: str) -> bool:
     """Return True if a command accepts these words: its flags exist, and its first argument."""
-    command, rest = command_of(words.split())
-    if words.split(maxsplit=1)[0] in WORDS:
+    command, arguments = command_of(text.split())
+    if text.split(maxsplit=1)[0] in NOT_COMMANDS:
         return True
     if not command:
         return False
-    named = [word for word in rest if word.startswith("--")]
-    if not set(named) <= flags(command):
+    flag_names = [token for token in arguments if token.startswith("--")]
+    if not set(flag_names) <= flags(command):
         return False
     choices = next((a.choices for a in parser(command)._actions if a.choices), None)
-    return choices is None or not rest or rest[0] in choices
+    return choices is None or not arguments or arguments[0] in choices
 
 
 def test_commands_exist_with_their_flags():
-    found = [words for text, file in texts().items() for words in commands(text, file)]
-    assert len([words for words in found if command_of(words.split())[0]]) > 20
+    candidates = [words for text, file in texts().items() for words in commands(text, file)]
+    assert len([words for words in candidates if command_of(words.split())[0]]) > 20
     assert wrong(commands, is_command) == []
 
 
 def quoted_commands(text: str, _file: str) -> list[str]:
-    return [words for words in re.findall(r"`pliant ([^`]+)`", text) if "…" not in words]
+    return [command for command in re.findall(r"`pliant ([^`]+)`", text) if "…" not in command]
 
 
-def is_accepted(words: str) -> bool:
+def is_accepted(text: str) -> bool:
     """Return True if a command parses as written; it is not executed."""
-    command, rest = command_of([STAND_INS.get(word, word) for word in words.split()])
+    command, arguments = command_of([PLACEHOLDERS.get(token, token) for token in text.split()])
     if not command:
         return False
     with pytest.MonkeyPatch.context() as patch:
-        module, taken = import_module(COMMANDS[command][0]), []
+        module, actions = import_module(COMMANDS[command][0]), []
         run = module.run
 
         def pretend(*args, **keywords):
-            taken.append((args, keywords))
+            actions.append((args, keywords))
 
         pretend.__signature__ = inspect.signature(run, eval_str=True)
         pretend.__doc__, pretend.__name__ = run.__doc__, run.__name__
         pretend.__annotations__ = inspect.get_annotations(run, eval_str=True)
         patch.setattr(module, "run", pretend)
-        needed = [a for a in parser(command)._actions if not a.option_strings and a.required]
-        given = [word for word in rest if not word.startswith("--") and not re.match(r"\d+:", word)]
-        cli_main([*command.split(), *rest, *("so101" for _ in needed[len(given) :])])
-        return bool(taken)
+        required = [a for a in parser(command)._actions if not a.option_strings and a.required]
+        positionals = [
+            token
+            for token in arguments
+            if not token.startswith("--") and not re.match(r"\d+:", token)
+        ]
+        cli_main([*command.split(), *arguments, *("so101" for _ in required[len(positionals) :])])
+        return bool(actions)
 
 
 def test_quoted_commands_are_taken_by_the_shell(capsys):
@@ -227,19 +231,19 @@ def test_quoted_commands_are_taken_by_the_shell(capsys):
 def flags_of(text: str, file: str) -> list[tuple[str, str]]:
     """Return the flags in a text, each with its command, or "" if it may be any command."""
     path = file.removeprefix("python/pliant/cli/").removesuffix(".py")
-    own = path.replace("/", " ") if path != file.removesuffix(".py") else ""
-    bare = re.sub(r"`[^`]*`|pliant [a-z]+ [^;,:.]*", "", text)
+    command = path.replace("/", " ") if path != file.removesuffix(".py") else ""
+    plain = re.sub(r"`[^`]*`|pliant [a-z]+ [^;,:.]*", "", text)
     return [
-        (flag, own if own in COMMANDS else "")
-        for flag in re.findall(r"(?<![\w-])--[a-z][a-z-]*", bare)
+        (flag, command if command in COMMANDS else "")
+        for flag in re.findall(r"(?<![\w-])--[a-z][a-z-]*", plain)
     ]
 
 
 def is_flag(remedy: tuple[str, str]) -> bool:
     flag, command = remedy
-    own = {"--version"} | {flag for name in [command] if name for flag in flags(name)}
-    every = {flag for name in COMMANDS for flag in flags(name)} | {"--version", "--python"}
-    return flag in (own if command else every)
+    allowed = {"--version"} | {flag for name in [command] if name for flag in flags(name)}
+    all_flags = {flag for name in COMMANDS for flag in flags(name)} | {"--version", "--python"}
+    return flag in (allowed if command else all_flags)
 
 
 def test_flags_exist():
@@ -248,7 +252,7 @@ def test_flags_exist():
 
 def members(name: str) -> list[object]:
     """Return all members with a name: of a public module, or of a class in a public module."""
-    found = [getattr(module, name) for module in MODULES if hasattr(module, name)]
+    matches = [getattr(module, name) for module in MODULES if hasattr(module, name)]
     classes = {
         item for module in MODULES for item in vars(module).values() if isinstance(item, type)
     }
@@ -258,7 +262,7 @@ def members(name: str) -> list[object]:
         for word in getattr(module, "__all__", ())
         if isinstance(getattr(module, word, None), type)
     }
-    return found + [getattr(item, name) for item in classes | lazy if hasattr(item, name)]
+    return matches + [getattr(item, name) for item in classes | lazy if hasattr(item, name)]
 
 
 def resolve(dotted: str) -> list[object]:
@@ -267,19 +271,19 @@ def resolve(dotted: str) -> list[object]:
     if head == "pliant" and tail:
         with contextlib.suppress(ImportError):
             import_module(f"pliant.{tail[0]}")
-        found: list[object] = [pliant]
+        owners: list[object] = [pliant]
     elif head in OBJECTS:
-        found = [OBJECTS[head]]
+        owners = [OBJECTS[head]]
     else:
-        found = members(head)
+        owners = members(head)
     for name in tail:
-        fields = {id(item): getattr(item, "__annotations__", {}) for item in found}
-        found = [
+        fields = {id(item): getattr(item, "__annotations__", {}) for item in owners}
+        owners = [
             getattr(item, name, fields[id(item)].get(name))
-            for item in found
+            for item in owners
             if hasattr(item, name) or name in fields[id(item)]
         ]
-    return found
+    return owners
 
 
 def keywords(item: object) -> set[str]:
@@ -308,16 +312,16 @@ def takes(item: object, arguments: str) -> bool:
     if not callable(item):
         return False
     flat = re.sub(r"\([^()]*\)|\[[^\[\]]*\]|\"[^\"]*\"", "0", arguments)
-    given = [part.strip() for part in flat.split(",") if part.strip()]
-    named = {part.split("=")[0].strip() for part in given if re.match(r"[a-z_]+\s?=", part)}
-    if not named <= keywords(item):
+    parts = [part.strip() for part in flat.split(",") if part.strip()]
+    keyword_names = {part.split("=")[0].strip() for part in parts if re.match(r"[a-z_]+\s?=", part)}
+    if not keyword_names <= keywords(item):
         return False
     if "..." in flat or "…" in flat or item is pliant.connect:
         return True
-    values = [None for part in given if "=" not in part]
+    values = [None for part in parts if "=" not in part]
     itself = [None] if needs_object(item) else []
     try:
-        inspect.signature(item).bind(*itself, *values, **dict.fromkeys(named))
+        inspect.signature(item).bind(*itself, *values, **dict.fromkeys(keyword_names))
     except TypeError:
         return False
     except ValueError:
@@ -339,8 +343,8 @@ def is_callable_so(call: tuple[str, str]) -> bool:
 
 
 def test_calls_exist_with_their_keywords():
-    found = [call for text, file in texts().items() for call in calls(text, file)]
-    assert len(found) > 60
+    candidates = [call for text, file in texts().items() for call in calls(text, file)]
+    assert len(candidates) > 60
     assert wrong(calls, is_callable_so) == []
 
 
@@ -351,8 +355,10 @@ OPEN = re.compile(
 
 def examples(text: str, _file: str) -> list[str]:
     """Return the complete calls in a text that can be run without an object of the user."""
-    found = [f"{name}({arguments})" for name, arguments in CALL.findall(text)]
-    return [call for call in found if not OPEN.search(call) and not is_method(call.split("(")[0])]
+    candidates = [f"{name}({arguments})" for name, arguments in CALL.findall(text)]
+    return [
+        call for call in candidates if not OPEN.search(call) and not is_method(call.split("(")[0])
+    ]
 
 
 def is_method(name: str) -> bool:
@@ -390,8 +396,8 @@ def runs(call: str) -> bool:
 
 
 def test_examples_run():
-    found = [call for text, file in texts().items() for call in examples(text, file)]
-    assert len(found) > 8
+    candidates = [call for text, file in texts().items() for call in examples(text, file)]
+    assert len(candidates) > 8
     assert wrong(examples, runs) == []
 
 
@@ -420,24 +426,24 @@ def test_risks_that_texts_name_can_be_accepted():
 @cache
 def every_keyword() -> set[str]:
     """Return the keywords of all public callables."""
-    found = set(keywords(pliant.connect)) | {"python"}
+    names = set(keywords(pliant.connect)) | {"python"}
     for module in MODULES:
         for name in {*vars(module), *getattr(module, "__all__", ())}:
             item = getattr(module, name, None)
             if not callable(item) or name.startswith("_"):
                 continue
-            found |= keywords(item)
+            names |= keywords(item)
             if isinstance(item, type):
-                found |= {
+                names |= {
                     key for part in vars(item).values() if callable(part) for key in keywords(part)
                 }
-                found |= {
+                names |= {
                     key
                     for name in dir(item)
                     if not name.startswith("_") and callable(getattr(item, name))
                     for key in keywords(getattr(item, name))
                 }
-    return found
+    return names
 
 
 def is_keyword(name: str) -> bool:
@@ -453,8 +459,8 @@ def bare_keywords(text: str, file: str) -> list[str]:
 
 
 def test_keywords_exist():
-    found = [key for text, file in texts().items() for key in bare_keywords(text, file)]
-    assert len(found) > 10
+    candidates = [key for text, file in texts().items() for key in bare_keywords(text, file)]
+    assert len(candidates) > 10
     assert wrong(bare_keywords, is_keyword) == []
 
 
@@ -476,8 +482,8 @@ def test_names_and_pages_exist():
 
 
 def sections(text: str, _file: str) -> list[tuple[str, str]]:
-    found = re.findall(r"(?<![\w\])…])\[([a-z_]+)\](?: ([a-z_]+))?", text)
-    return [pair for pair in found if pair[0] not in UNITS]
+    pairs = re.findall(r"(?<![\w\])…])\[([a-z_]+)\](?: ([a-z_]+))?", text)
+    return [pair for pair in pairs if pair[0] not in UNITS]
 
 
 def is_section(pair: tuple[str, str]) -> bool:
@@ -502,15 +508,15 @@ def is_section(pair: tuple[str, str]) -> bool:
 
 
 def test_sections_and_keys_of_a_configuration_exist():
-    found = [pair for text, file in texts().items() for pair in sections(text, file)]
-    assert len(found) > 8
+    candidates = [pair for text, file in texts().items() for pair in sections(text, file)]
+    assert len(candidates) > 8
     assert wrong(sections, is_section) == []
 
 
 def test_extras_exist():
     """Check that the second argument of every call of `missing` is an extra in pyproject.toml."""
     known = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-    named = [
+    extras = [
         node.args[1].value
         for folder in ("python/pliant", "experiments")
         for path in (ROOT / folder).rglob("*.py")
@@ -519,8 +525,8 @@ def test_extras_exist():
         and getattr(node.func, "id", "") == "missing"
         and isinstance(node.args[1], ast.Constant)
     ]
-    assert len(named) > 6
-    assert set(named) <= set(known["project"]["optional-dependencies"])
+    assert len(extras) > 6
+    assert set(extras) <= set(known["project"]["optional-dependencies"])
 
 
 @pytest.mark.parametrize(

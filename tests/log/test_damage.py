@@ -32,7 +32,7 @@ def made(tmp_path_factory):
 
 
 @pytest.fixture
-def damaged(made, tmp_path):
+def damaged(log_file, tmp_path):
     """Return a function that writes bytes to a log file and returns its path."""
 
     def write(content):
@@ -55,7 +55,7 @@ def prefix(log, whole):
 
 def test_a_damaged_log_is_explained_or_a_prefix(made, damaged):
     content, whole = made
-    seen = Counter()
+    outcomes = Counter()
     for seed in range(300):
         dice = random.Random(seed)
         copy = bytearray(content)
@@ -68,12 +68,12 @@ def test_a_damaged_log_is_explained_or_a_prefix(made, damaged):
             log = read(damaged(copy))
         except pliant.ConfigError as error:
             assert "is no log of pliant" in str(error)  # noqa: PT017
-            seen["explained"] += 1
+            outcomes["explained"] += 1
             continue
         prefix(log, whole)
         assert not log.whole or (len(log) == len(whole) and not log.damage)
-        seen["whole" if log.whole else "damaged" if log.damage else "cut"] += 1
-    assert min(seen[kind] for kind in ("explained", "damaged", "cut")) > 3, seen
+        outcomes["whole" if log.whole else "damaged" if log.damage else "cut"] += 1
+    assert min(outcomes[kind] for kind in ("explained", "damaged", "cut")) > 3, outcomes
 
 
 def test_a_log_that_was_cut_anywhere_is_a_prefix(made, damaged):
@@ -88,11 +88,11 @@ def test_a_log_that_was_cut_anywhere_is_a_prefix(made, damaged):
 
 def test_a_missing_chunk_is_damage(made, damaged):
     content, whole = made
-    chunks, at = [], 8
-    while content[at] != 2:  # footer
-        length = int.from_bytes(content[at + 1 : at + 9], "little")
-        chunks += [(at, at + 9 + length)] * (content[at] == 6)
-        at += 9 + length
+    chunks, offset = [], 8
+    while content[offset] != 2:  # footer
+        length = int.from_bytes(content[offset + 1 : offset + 9], "little")
+        chunks += [(offset, offset + 9 + length)] * (content[offset] == 6)
+        offset += 9 + length
     begin, end = chunks[1]
     log = read(damaged(content[:begin] + content[end:]))
     assert "is missing" in log.damage
@@ -111,9 +111,9 @@ def test_a_cut_log_is_replayed_up_to_there_and_a_damaged_one_is_not(
     out = capsys.readouterr().out
     assert "was cut short: it is played up to" in out
     assert "played 1 time in" in out
-    broken = bytearray(content)
-    broken[3 * len(content) // 4] ^= 255
-    path = damaged(broken)
+    damaged_content = bytearray(content)
+    damaged_content[3 * len(content) // 4] ^= 255
+    path = damaged(damaged_content)
     assert main(argv) == 2
     assert "the log is damaged and is not played: the record at byte" in capsys.readouterr().err
     with pytest.raises(pliant.ConfigError, match="is damaged"):

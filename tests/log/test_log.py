@@ -72,19 +72,19 @@ def test_the_same_inputs_give_the_same_commands(file):
     np.testing.assert_array_equal(again.goal[1:], log.goal)
 
 
-@pytest.mark.parametrize("description", ["dt", "dq", "twist", "gradient", "target", "call"])
-def test_every_input_counts(file, description):
+@pytest.mark.parametrize("field", ["dt", "dq", "twist", "gradient", "target", "call"])
+def test_every_input_counts(file, field):
     log = read(file)
-    if description == "call":
+    if field == "call":
         log.calls = [call for call in log.calls if call.what != "update"]
-    elif description == "dt":
+    elif field == "dt":
         # Change dt in all calls: a single step with dq may give the same command without it.
         for call in log.calls:
             if call.what == "step" and np.isfinite(call.dt):
                 call.dt *= 1.01
     else:
         call = next(c for c in log.calls if c.what == "step" and c.sequence > 30)
-        getattr(call, description)[3] += 1e-3
+        getattr(call, field)[3] += 1e-3
     assert verify(log).differing > 0
 
 
@@ -128,10 +128,10 @@ def test_two_other_readers_open_it(file):
         )
 
         def messages(topic):
-            chosen = topics[topic]
+            channel = topics[topic]
             return [
-                (stamp, reader.deserialize(data, chosen.msgtype))
-                for _, stamp, data in reader.messages([chosen])
+                (stamp, reader.deserialize(data, channel.msgtype))
+                for _, stamp, data in reader.messages([channel])
             ]
 
         states = messages("/joint_states")
@@ -140,9 +140,9 @@ def test_two_other_readers_open_it(file):
         np.testing.assert_allclose(np.diff(stamps), np.diff(log.time), atol=1e-6)
         commands = messages("/command/joint_states")
         np.testing.assert_array_equal([m.effort for _, m in commands], log.torque_limit)
-        place = messages("/tcp/actual")[-1][1].pose.position
+        position = messages("/tcp/actual")[-1][1].pose.position
         pose = log.model().forward_kinematics(log.q[-1])
-        np.testing.assert_allclose([place.x, place.y, place.z], pose[:3, 3])
+        np.testing.assert_allclose([position.x, position.y, position.z], pose[:3, 3])
         assert "<robot" in messages("/robot_description")[0][1].data
         assert len(messages("/pliant/tick")) == len(log)
 
@@ -173,8 +173,10 @@ def wait_for(condition):
 def test_a_killed_run_can_be_read(tmp_path, both):
     path = tmp_path / "killed.mcap"
     folder = Path(__file__).parent
-    found = os.pathsep.join((os.environ.get("PYTHONPATH", ""), str(folder), str(folder.parent)))
-    environment = {**os.environ, "PYTHONPATH": found}
+    search_path = os.pathsep.join(
+        (os.environ.get("PYTHONPATH", ""), str(folder), str(folder.parent))
+    )
+    environment = {**os.environ, "PYTHONPATH": search_path}
     with subprocess.Popen(
         [sys.executable, "-c", LOOP, str(path)], stdout=subprocess.PIPE, text=True, env=environment
     ) as process:
@@ -200,11 +202,11 @@ def test_a_writer_that_is_gone_does_not_stop_the_loop(tmp_path):
         recorder._process.kill()
         recorder._process.wait()
         pose = arm.model.forward_kinematics(arm.read().q)
-        written = (tick.step(pose) for tick in loop)
-        assert len(list(islice(written, 10))) == 10
+        steps = (tick.step(pose) for tick in loop)
+        assert len(list(islice(steps, 10))) == 10
         assert recorder.dropped > 0
         with pytest.raises(OSError, match=r"gone\.mcap"):
-            next(written)
+            next(steps)
 
 
 def test_memory_is_bounded(tmp_path):
@@ -237,11 +239,11 @@ def test_the_command_tells_draws_and_exports(file, tmp_path, capsys):
     rows = parquet.read_table(table)
     np.testing.assert_array_equal(rows["q." + log.run["joints"][3]], log.q[:, 3])
     np.testing.assert_array_equal(rows["deviation.y"], log.deviation[:, 1])
-    plain = tmp_path / "run.npz"
-    assert main(["log", "export", str(file), "--output", str(plain)]) == 0
-    with np.load(plain) as arrays:
+    archive = tmp_path / "run.npz"
+    assert main(["log", "export", str(file), "--output", str(archive)]) == 0
+    with np.load(archive) as arrays:
         np.testing.assert_array_equal(arrays["goal"], log.goal)
-    assert main(["log", "info", str(plain)]) == 2
+    assert main(["log", "info", str(archive)]) == 2
     assert "no log" in capsys.readouterr().err
 
 

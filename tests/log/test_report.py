@@ -30,11 +30,13 @@ def record(path, settings, duration=3.0, **options):
     )
     forces = []
     with bare_arm("arm7", q=START, scene=[hand]) as arm:
-        made = None if settings is None else pliant.Controller(arm.model, settings, arm.servos)
+        controller = (
+            None if settings is None else pliant.Controller(arm.model, settings, arm.servos)
+        )
         pose = arm.model.forward_kinematics(arm.read().q)
         recorder = Recorder(path, **options)
-        for tick in pliant.Loop(arm, made, duration=duration, recorder=recorder):
-            if made is None:
+        for tick in pliant.Loop(arm, controller, duration=duration, recorder=recorder):
+            if controller is None:
                 tick.skip()
             else:
                 tick.step(pose)
@@ -51,14 +53,14 @@ def run(tmp_path_factory):
 
 def test_the_force_of_the_hand_is_found_in_the_log(run):
     _, log, forces = run
-    seen = force_estimates.estimate_forces(log)
-    late = (findings.elapsed_time(log) > 1.8) & (findings.elapsed_time(log) < UNTIL - 0.6)
-    error = np.abs(seen.force[late, 1] - forces[late, 1])
-    assert late.sum() > 5
-    assert (error <= seen.bound[late, 1]).all()
-    assert forces[late, 1].min() > 10.0
-    assert findings.exceeded_share(log, seen, 1) == 0.0
-    assert seen.strengths["y"].firm == (15.0, 15.0)
+    estimates = force_estimates.estimate_forces(log)
+    is_settled = (findings.elapsed_time(log) > 1.8) & (findings.elapsed_time(log) < UNTIL - 0.6)
+    error = np.abs(estimates.force[is_settled, 1] - forces[is_settled, 1])
+    assert is_settled.sum() > 5
+    assert (error <= estimates.bound[is_settled, 1]).all()
+    assert forces[is_settled, 1].min() > 10.0
+    assert findings.exceeded_share(log, estimates, 1) == 0.0
+    assert estimates.strengths["y"].firm == (15.0, 15.0)
 
 
 def test_a_sentence_names_the_cap_of_a_firm_axis(run):

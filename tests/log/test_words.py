@@ -50,9 +50,9 @@ def test_settings_keep_every_bit():
         "servos": pliant.robots.koch().servos,
         "axes": ("x", "y"),
     }
-    read = serialization.read(serialization.write(arguments))
-    assert read["settings"] == arguments["settings"]
-    assert read["servos"] == arguments["servos"]
+    result = serialization.read(serialization.write(arguments))
+    assert result["settings"] == arguments["settings"]
+    assert result["servos"] == arguments["servos"]
     for preset in (
         pliant.Settings.door(),
         pliant.Settings.wipe(press=5.0),

@@ -21,8 +21,8 @@ SOFT = pliant.Settings.soft("x y", task="xyz")
 
 @pytest.fixture(scope="module")
 def running(tmp_path_factory):
-    with run_arm(tmp_path_factory, allow_commands=True) as made:
-        yield made
+    with run_arm(tmp_path_factory, allow_commands=True) as arm_loop:
+        yield arm_loop
 
 
 @contextlib.contextmanager
@@ -31,10 +31,10 @@ def run_arm(tmp_path_factory, *, allow_commands):
     with stderr_to(stderr):
         link = foxglove_link(port=0, allow_commands=allow_commands)
     with link, pliant.connect("so101", backend="sim", on_exit="leave_enabled") as arm:
-        made = Running(arm, SOFT, link, stderr)
-        made.ticks_of(5)
-        yield made
-        made.close()
+        running = Running(arm, SOFT, link, stderr)
+        running.ticks_of(5)
+        yield running
+        running.close()
 
 
 def client_of(running):
@@ -50,9 +50,9 @@ def client_of(running):
 
 @pytest.fixture(scope="module")
 def client(running):
-    made = client_of(running)
-    yield made
-    made.socket.close()
+    foxglove = client_of(running)
+    yield foxglove
+    foxglove.socket.close()
 
 
 def wait(running, client, condition, description):
@@ -85,8 +85,8 @@ def test_state_and_description_arrive(running, client):
     }
     pose = client.decode("/pliant/current_pose")
     assert pose.header.frame_id == model.base
-    at = [getattr(pose.pose.position, axis) for axis in "xyz"]
-    assert np.linalg.norm(running.tool[:3, 3] - at) < 0.01
+    position = [getattr(pose.pose.position, axis) for axis in "xyz"]
+    assert np.linalg.norm(running.tool[:3, 3] - position) < 0.01
 
 
 def test_caps_are_parameters_that_can_be_set(running, client):

@@ -28,8 +28,8 @@ def test_stiffness_from_the_client_changes_the_springs_of_law_impedance(
         )
         assert springs.controller.axes["y"].stiffness == before["y"].stiffness
         # The name of CRISP's controllers for the same number.
-        read = answer(
+        reply = answer(
             springs,
             lambda: client.call("/pliant/get_parameters", "GetParameters", names=["task.k_pos_x"]),
         )
-        assert read.values[0].double_value == 150.0
+        assert reply.values[0].double_value == 150.0

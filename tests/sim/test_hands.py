@@ -34,24 +34,24 @@ def settled(arm, grasp, hand, ticks=800):
     return plant
 
 
-@pytest.mark.parametrize("at", ["tool", "wrist", "forearm_link"])
-def test_a_push_reaches_the_joints_as_its_frame_says(arm, grasp, at):
+@pytest.mark.parametrize("frame", ["tool", "wrist", "forearm_link"])
+def test_a_push_reaches_the_joints_as_its_frame_says(arm, grasp, frame):
     force = np.array((2.0, -3.0, 1.0))
-    plant = settled(arm, grasp, Push(force_vector=force, at=at, course=ALWAYS))
-    link = {"tool": "tool", "wrist": "gripper_link"}.get(at, at)
+    plant = settled(arm, grasp, Push(force_vector=force, at=frame, course=ALWAYS))
+    link = {"tool": "tool", "wrist": "gripper_link"}.get(frame, frame)
     text = arm.source[0]
     part = pliant.Model.from_urdf_str(text, base="base", tip=link)
-    pulled = np.zeros(7)
-    pulled[: part.n] = part.jacobian(plant.q[: part.n])[:3].T @ force
-    np.testing.assert_allclose(plant.torque, arm.gravity(plant.q) - pulled, atol=1e-5)
+    expected = np.zeros(7)
+    expected[: part.n] = part.jacobian(plant.q[: part.n])[:3].T @ force
+    np.testing.assert_allclose(plant.torque, arm.gravity(plant.q) - expected, atol=1e-5)
     np.testing.assert_allclose(plant.hands[0].force, force)
 
 
 def test_a_torque_reaches_the_joints(arm, grasp):
     torque = np.array((0.3, -0.2, 0.5))
     plant = settled(arm, grasp, Push(torque_vector=torque, course=ALWAYS))
-    pulled = arm.jacobian(plant.q)[3:].T @ torque
-    np.testing.assert_allclose(plant.torque, arm.gravity(plant.q) - pulled, atol=1e-5)
+    expected = arm.jacobian(plant.q)[3:].T @ torque
+    np.testing.assert_allclose(plant.torque, arm.gravity(plant.q) - expected, atol=1e-5)
 
 
 @pytest.mark.parametrize("hand", [DRAG_15N, DRAG_30N, DRAG_80N, TWIST_3NM])
@@ -193,5 +193,5 @@ def test_bad_hands_are_named(make, message):
 def test_an_unknown_frame_lists_those_there_are(arm):
     with pytest.raises(pliant.FrameNotFoundError, match=r"no frame 'elbow'.*forearm_link") as error:
         Plant(arm, scene=[Push(at="elbow")])
-    there = str(error.value).split("there are ")[1].split(", ")
-    assert len(there) == len(set(there))
+    frames = str(error.value).split("there are ")[1].split(", ")
+    assert len(frames) == len(set(frames))

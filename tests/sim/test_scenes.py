@@ -24,26 +24,26 @@ def test_a_drawer_slides_on_its_line_to_its_stop(arm, floating):
     plant.reset(AT_DOOR)
     start = plant.tool[:3, 3]
     floating(plant, 300)
-    moved = plant.tool[:3, 3] - start
+    displacement = plant.tool[:3, 3] - start
     assert box.opening == pytest.approx(0.10, abs=2e-3)
-    np.testing.assert_allclose(moved, box.opening * axis, atol=2e-3)
+    np.testing.assert_allclose(displacement, box.opening * axis, atol=2e-3)
     assert box.widest == pytest.approx(box.opening, abs=3e-3)
 
 
-@pytest.mark.parametrize(("across", "opens"), [(0.0, True), (12.0, False)])
-def test_a_drawer_binds_under_a_force_across(arm, floating, across, opens):
+@pytest.mark.parametrize(("side_force", "opens"), [(0.0, True), (12.0, False)])
+def test_a_drawer_binds_under_a_force_across(arm, floating, side_force, opens):
     """A pull of 5 N opens a drawer with 3 N of friction, unless 12 N across add 3.6 N.
 
     The binding factor is 0.3.
     """
     box = drawer()
-    plant = scene(arm, box, pull((-5.0, across, 0.0)))
+    plant = scene(arm, box, pull((-5.0, side_force, 0.0)))
     plant.reset(AT_DOOR)
     floating(plant, 200)
     assert (box.widest > 0.015) is opens
     if not opens:
         assert box.widest < 0.005
-    assert box.across == pytest.approx(across, abs=1.5)
+    assert box.across == pytest.approx(side_force, abs=1.5)
 
 
 def pressed(arm, surface, height, grasp):
@@ -88,20 +88,22 @@ def test_friction_on_a_surface_is_mu_times_the_normal_force(arm, grasp, floating
 
 
 def test_an_object_is_carried_taken_and_let_go(arm, grasp):
-    item = HandoverObject(mass=0.5, course=ForceProfile(start=2.0, rise=0.5, end=9.0))
-    plant = Plant(arm, scene=[item])
+    handover_object = HandoverObject(mass=0.5, course=ForceProfile(start=2.0, rise=0.5, end=9.0))
+    plant = Plant(arm, scene=[handover_object])
     plant.reset(grasp)
-    home = item.place_of(plant)
+    home = handover_object.place_of(plant)
     plant.advance(1900)
-    assert item.force == pytest.approx(0.5 * 9.81, rel=0.1)
-    assert item.effort == 0.0
+    assert handover_object.force == pytest.approx(0.5 * 9.81, rel=0.1)
+    assert handover_object.effort == 0.0
     plant.advance(300)
-    assert item.effort > 5.0
-    item.release(plant)
+    assert handover_object.effort > 5.0
+    handover_object.release(plant)
     plant.advance(2500)
-    assert item.released == pytest.approx(2.2, abs=1e-6)
-    assert item.force == 0.0
-    np.testing.assert_allclose(item.place_of(plant) - home, item.displacement, atol=5e-3)
+    assert handover_object.released == pytest.approx(2.2, abs=1e-6)
+    assert handover_object.force == 0.0
+    np.testing.assert_allclose(
+        handover_object.place_of(plant) - home, handover_object.displacement, atol=5e-3
+    )
 
 
 def down(arm, socket, grasp, depth, ticks=150):
@@ -130,8 +132,8 @@ def test_a_tilted_socket_is_turned_by_its_tilt(arm, grasp):
     plant = Plant(arm, scene=[Socket(tilt=(0.0, 0.2, 0.0))])
     plant.reset(grasp)
     mujoco.mj_kinematics(plant.mj_model, plant.mj_data)
-    turned = plant.mj_data.body("socket:frame").xmat.reshape(3, 3) @ plant.tool[:3, :3].T
-    assert np.arctan2(turned[0, 2], turned[2, 2]) == pytest.approx(0.2, abs=1e-9)
+    rotation = plant.mj_data.body("socket:frame").xmat.reshape(3, 3) @ plant.tool[:3, :3].T
+    assert np.arctan2(rotation[0, 2], rotation[2, 2]) == pytest.approx(0.2, abs=1e-9)
 
 
 def test_a_plug_beside_its_hole_stays_out(arm, grasp):

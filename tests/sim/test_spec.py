@@ -83,8 +83,8 @@ def test_robots_that_people_own_build_and_hold(name):
     path = ROBOTS / name / FILES[name]
     if not path.exists():
         pytest.skip(f"{path} is not here")
-    told = json.loads((path.parent / "reference_fk.json").read_text(encoding="utf-8"))
-    arm = pliant.Model.from_urdf(str(path), base=told["base"], tip=told["tip"])
+    reference = json.loads((path.parent / "reference_fk.json").read_text(encoding="utf-8"))
+    arm = pliant.Model.from_urdf(str(path), base=reference["base"], tip=reference["tip"])
     plant = Plant(arm)
     lower, upper = np.nan_to_num(arm.lower, neginf=-1.0), np.nan_to_num(arm.upper, posinf=1.0)
     q = (lower + upper) / 2 + 0.1 * (upper - lower)

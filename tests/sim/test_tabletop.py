@@ -8,14 +8,14 @@ from pliant.sim import Plant, Tabletop
 from pliant.sim._model_builder import rigid_groups
 
 
-def lie(model, q, *, seconds=3.0, table=True, turn=None):
+def lie(model, q, *, seconds=3.0, table=True, rotation=None):
     """Let an arm without torque sink onto its table from q; return plant and table."""
     scene = [Tabletop()] if table else []
     plant = Plant(model, scene=scene)
     plant.reset(q)
-    off = dict.fromkeys(plant.read().extra, (0.0, 0.0))
+    gripper_command = dict.fromkeys(plant.read().extra, (0.0, 0.0))
     for _ in range(round(seconds * plant.rate)):
-        plant.write(plant.q, np.zeros(plant.n), off)
+        plant.write(plant.q, np.zeros(plant.n), gripper_command)
         plant.advance()
     return plant, scene[0] if table else None
 
@@ -24,9 +24,9 @@ def test_an_arm_without_torque_comes_to_lie_on_its_table():
     model = pliant.robots.so101()
     q = [0.4, 0.6, 0.5, 0.3, 0.0]
     plant, table = lie(model, q)
-    falling, _ = lie(model, q, table=False)
+    without_table, _ = lie(model, q, table=False)
     weight = 9.81 * sum(link.inertial.mass for link in model.links if link.inertial)
-    assert falling.tool[2, 3] < -0.05, "without a table it hangs below its base"
+    assert without_table.tool[2, 3] < -0.05, "without a table it hangs below its base"
     assert plant.tool[2, 3] > 0.005
     assert abs(table.clearance()) < 1e-4
     assert "gripper" in table.touching
@@ -50,8 +50,8 @@ def test_what_only_turns_about_the_vertical_never_touches(name):
     cut = rigid_groups(model, "held")
     table = Tabletop(height=0.5)
     plant = Plant(model, scene=[table])
-    named = {plant.mj_model.geom(geom).name for geom in range(plant.mj_model.ngeom)}
-    names = {name.split(":")[1] for name in named if name.startswith("tabletop:")}
+    geoms = {plant.mj_model.geom(geom).name for geom in range(plant.mj_model.ngeom)}
+    names = {name.split(":")[1] for name in geoms if name.startswith("tabletop:")}
     assert "shoulder" not in names
     assert {"upper_arm", "lower_arm", "wrist", "gripper"} <= names
     assert len(cut) > len(names)
@@ -96,7 +96,7 @@ def test_a_scene_without_a_table_is_as_it_was():
     np.testing.assert_allclose(*ends, atol=1e-12)
 
 
-@pytest.mark.parametrize("wrong", [{"height": np.nan}, {"friction": -1.0}])
-def test_numbers_that_make_no_table_are_refused(wrong):
+@pytest.mark.parametrize("arguments", [{"height": np.nan}, {"friction": -1.0}])
+def test_numbers_that_make_no_table_are_refused(arguments):
     with pytest.raises(pliant.ConfigError, match="Tabletop needs"):
-        Tabletop(**wrong)
+        Tabletop(**arguments)

@@ -23,8 +23,8 @@ from pliant.view.source import Simulated
 
 @pytest.fixture
 def link():
-    with Link(port=8210) as made:
-        yield made
+    with Link(port=8210) as new_link:
+        yield new_link
 
 
 def get(address):
@@ -95,16 +95,16 @@ def test_next_snapshot_is_wanted_without_a_look_at_the_orders(link):
 
 def flooded():
     """Return a page endpoint in this process that sends far more messages than one tick handles."""
-    ours, theirs = socket.socketpair()
-    endpoint = PageEndpoint(theirs.detach())
+    local, remote = socket.socketpair()
+    endpoint = PageEndpoint(remote.detach())
     for number in range(20_000):
         endpoint.queue(messages.Change(number, f"axis {number}", {"hold": 1.0}))
         endpoint.queue(messages.Push((1.0, 0.0, 0.0)))
     endpoint.queue(messages.Stop())
-    made = Link.__new__(Link)
-    made._pipe, made._pending = Connection(ours.detach()), messages.Queue()
-    made._acknowledged, made._due, made._edit_due, made._period = True, 0.0, 0.0, 0.0
-    return made, endpoint
+    link = Link.__new__(Link)
+    link._pipe, link._pending = Connection(local.detach()), messages.Queue()
+    link._acknowledged, link._due, link._edit_due, link._period = True, 0.0, 0.0, 0.0
+    return link, endpoint
 
 
 def test_flood_reaches_the_loop_in_small_parts_and_the_stop_at_once():

@@ -115,10 +115,10 @@ def test_drums_stand_on_the_axes_of_their_joints(page):
     for drum, name in zip(page.scene_view._drums._drums, page.info.joints, strict=True):
         joint = figure.joint(name).id
         node = page.scene_view._nodes[int(figure.jnt_bodyid[joint])]
-        place = tf.SO3(np.asarray(node.wxyz)).apply(np.asarray(drum.position)) + node.position
-        np.testing.assert_allclose(place, data.xanchor[joint], atol=1e-5)
-        turn = tf.SO3(np.asarray(node.wxyz)) @ tf.SO3(np.asarray(drum.wxyz))
-        np.testing.assert_allclose(turn.apply(np.eye(3)[2]), data.xaxis[joint], atol=1e-5)
+        position = tf.SO3(np.asarray(node.wxyz)).apply(np.asarray(drum.position)) + node.position
+        np.testing.assert_allclose(position, data.xanchor[joint], atol=1e-5)
+        rotation = tf.SO3(np.asarray(node.wxyz)) @ tf.SO3(np.asarray(drum.wxyz))
+        np.testing.assert_allclose(rotation.apply(np.eye(3)[2]), data.xaxis[joint], atol=1e-5)
 
 
 def test_drawn_tool_is_where_the_simulation_has_it(page):
@@ -130,15 +130,15 @@ def test_drawn_tool_is_where_the_simulation_has_it(page):
 
 
 def test_arrow_shows_the_push_and_hides_without_one(page):
-    pushed = next(
+    snapshot = next(
         s for s in page.running if s.hand_force is not None and abs(s.hand_force[1][1]) > 5.0
     )
-    page.scene_view.show(pushed)
+    page.scene_view.show(snapshot)
     assert page.scene_view._arrow.visible
     start, end = page.scene_view._arrow.points[0]
-    np.testing.assert_allclose(end, pushed.hand_force[0], atol=1e-5)
+    np.testing.assert_allclose(end, snapshot.hand_force[0], atol=1e-5)
     assert (end - start)[1] == pytest.approx(ARROW_LENGTH * 6.0 / 40.0, rel=0.1)
-    page.scene_view.show(replace(pushed, hand_force=None))
+    page.scene_view.show(replace(snapshot, hand_force=None))
     assert not page.scene_view._arrow.visible
 
 
@@ -152,42 +152,42 @@ def test_meters_show_the_values_of_the_step(page):
     assert page.panel._matrix.content.count("<tr>") == 8
 
 
-def row(page, now, shown=None, full=None):
+def row(page, snapshot, shown=None, full=None):
     """Return the HTML rows of the table of task axes, by axis."""
-    info, shown = page.info, shown or now.shown
-    full = full or html.ranges(info, shown, now.step, {})
-    rows = html.axes(info, shown, now.step, full).split("<tr>")[2:]
+    info, shown = page.info, shown or snapshot.shown
+    full = full or html.ranges(info, shown, snapshot.step, {})
+    rows = html.axes(info, shown, snapshot.step, full).split("<tr>")[2:]
     return dict(zip(info.axes, rows, strict=True)), full
 
 
 def widths(rows):
-    found = {name: re.search(r"width:([\d.]+)%;height", text) for name, text in rows.items()}
-    return {name: float(match[1]) for name, match in found.items()}
+    matches = {name: re.search(r"width:([\d.]+)%;height", text) for name, text in rows.items()}
+    return {name: float(match[1]) for name, match in matches.items()}
 
 
 def test_bars_of_one_unit_have_one_scale(page):
-    now = page.running[-1]
-    off = np.array((0.016, -0.071, 0.033, 0.02, -0.1, 0.3))
-    rows, full = row(page, replace(now, step=replace(now.step, deviation=off)))
-    drawn = widths(rows)
+    snapshot = page.running[-1]
+    deviation = np.array((0.016, -0.071, 0.033, 0.02, -0.1, 0.3))
+    rows, full = row(page, replace(snapshot, step=replace(snapshot.step, deviation=deviation)))
+    bar_widths = widths(rows)
     for names, unit, scale in (("xyz", "mm", 1e3), (("roll", "pitch", "yaw"), "°", 57.2958)):
         for name in names:
-            size = abs(off[page.info.axes.index(name)]) * scale / full[unit]
-            assert drawn[name] == pytest.approx(50.0 * size, abs=0.06)
+            size = abs(deviation[page.info.axes.index(name)]) * scale / full[unit]
+            assert bar_widths[name] == pytest.approx(50.0 * size, abs=0.06)
     assert "-16 mm" in rows["x"]
     assert "+71 mm" in rows["y"]
     assert "left:50.0%" in rows["y"]
 
 
 def test_scale_holds_thresholds_and_does_not_flicker(page):
-    now = page.running[-1]
+    snapshot = page.running[-1]
 
     def scale(size, before):
-        off = np.full(6, size)
-        step = replace(now.step, deviation=off)
-        return html.ranges(page.info, now.shown, step, before)
+        deviation = np.full(6, size)
+        step = replace(snapshot.step, deviation=deviation)
+        return html.ranges(page.info, snapshot.shown, step, before)
 
-    soft = now.shown.thresholds[page.info.axes.index("x"), 0]
+    soft = snapshot.shown.thresholds[page.info.axes.index("x"), 0]
     first = scale(0.0, {})
     assert first["mm"] >= 1e3 * soft
     grown = scale(0.3, first)
@@ -227,13 +227,13 @@ def test_controls_send_changes_with_rising_numbers(page):
     move(controls.yields["x"], "holds")
     move(controls.yields["z"], "gives way to −")
     move(controls.strength["y", "soft"], (2.0, 3.0))
-    eta, law, firm, preset, holds, way, soft = page.messages
+    eta, law, firm, preset, holds, sides, soft = page.messages
     assert (type(eta), eta.value) == (messages.Adaptation, 0.5)
     assert (type(law), law.law) == (messages.Law, "impedance")
     assert firm.on is True
     assert preset.name == "firm"
     assert holds.fields == {"yields": "none"}
-    assert way.fields == {"yields": "-", "adaptation": 0.5}
+    assert sides.fields == {"yields": "-", "adaptation": 0.5}
     assert soft.fields == {"soft": (2.0, 3.0)}
     numbers = [message.number for message in page.messages]
     assert numbers == sorted(set(numbers))
@@ -242,11 +242,11 @@ def test_controls_send_changes_with_rising_numbers(page):
 def test_controls_show_what_is_in_force_once_the_edit_is_answered(page):
     controls = page.panel.controls
     move(controls.eta, 0.3)
-    late, last = page.running[-1], controls._last_edit
-    controls.show(replace(late, edit=last - 1))
+    snapshot, last = page.running[-1], controls._last_edit
+    controls.show(replace(snapshot, edit=last - 1))
     assert controls.eta.value == 0.3
-    controls.show(replace(late, edit=last))
-    assert controls.eta.value == late.shown.axes["x"]["adaptation"]
+    controls.show(replace(snapshot, edit=last))
+    assert controls.eta.value == snapshot.shown.axes["x"]["adaptation"]
     assert controls.yields["x"].value == "gives way"
 
 
@@ -282,10 +282,10 @@ def test_gizmo_says_a_target_and_is_left_alone_while_it_is_dragged(page):
 
 
 def test_dragging_the_arm_grabs_pulls_and_lets_go(page):
-    pulled = page.scene_view._drag_handler(np.array([3]))
-    place = {"instance_index": 0, "start_position": (0.1, 0.0, 0.0), "end_position": (0.2, 0, 0)}
+    handler = page.scene_view._drag_handler(np.array([3]))
+    fields = {"instance_index": 0, "start_position": (0.1, 0.0, 0.0), "end_position": (0.2, 0, 0)}
     for phase in ("start", "update", "end"):
-        drag(pulled, phase=phase, client_id=7, **place)
+        drag(handler, phase=phase, client_id=7, **fields)
     first, second, last = page.messages
     assert (first.body, first.point, first.toward) == (3, (0.1, 0.0, 0.0), (0.2, 0, 0))
     assert second.point is None
@@ -304,8 +304,8 @@ def test_every_part_of_the_arm_can_be_dragged(page):
 def test_only_the_tab_that_holds_the_arm_lets_go_when_it_closes(page):
     page = Page.__new__(Page)
     page.scene_view, page._send = page.scene_view, page.messages.append
-    for held_by, closed, notice in ((None, 3, []), (7, 3, []), (7, 7, [messages.LetGo()])):
+    for held_by, closed_tab, notice in ((None, 3, []), (7, 3, []), (7, 7, [messages.LetGo()])):
         page.scene_view.held_by = held_by
-        page._on_disconnect(SimpleNamespace(client_id=closed))
+        page._on_disconnect(SimpleNamespace(client_id=closed_tab))
         assert page.messages == notice
     page.scene_view.held_by = None

@@ -15,8 +15,8 @@ from pliant.view.source import Simulated
 END = messages.Scene("free")
 
 
-def live(script, at, *, scene="free", robot="arm7", max_sessions=1):
-    link = script(at)
+def live(script, robot_script, *, scene="free", robot="arm7", max_sessions=1):
+    link = script(robot_script)
     session = Session(Simulated(robot, scene, paced=False), link)
     session.run(max_sessions)
     return session, link
@@ -40,30 +40,30 @@ def test_arm_comes_down_after_stop_and_the_page_sees_it(script):
     _, link = live(script, {30: messages.Stop()})
     assert {s.phase for s in link.snapshots} >= {"running", "lowering"}
     # Snapshots of the descent are sent as often as the link accepts them.
-    down = [s for s in link.snapshots if s.phase == "lowering"]
-    heights = [s.tool[2, 3] for s in down]
+    descent = [s for s in link.snapshots if s.phase == "lowering"]
+    heights = [s.tool[2, 3] for s in descent]
     assert heights[-1] < heights[0] - 0.2
-    assert all(s.step is None for s in down)
+    assert all(s.step is None for s in descent)
 
 
 def test_target_moves_the_tool(script):
     link = script({})
     session = Session(Simulated("arm7", paced=False), link)
-    moved = {}
+    displacements = {}
 
     def heard(number):
         if number == 10:
             pose = session.home.copy()
             pose[:3, 3] += (0.0, 0.0, 0.05)
-            moved["to"] = pose
+            displacements["to"] = pose
             return [messages.Target(pose)]
         return [END] if number == 400 else []
 
     link.messages = counted(link, heard)
     session.run(1)
-    at = link.running[-1]
-    assert np.linalg.norm(at.tool[:3, 3] - moved["to"][:3, 3]) < 0.004
-    np.testing.assert_allclose(at.step.target, moved["to"])
+    snapshot = link.running[-1]
+    assert np.linalg.norm(snapshot.tool[:3, 3] - displacements["to"][:3, 3]) < 0.004
+    np.testing.assert_allclose(snapshot.step.target, displacements["to"])
 
 
 def counted(link, heard):
@@ -78,10 +78,10 @@ def test_push_moves_the_soft_axis_and_ends_by_itself(script):
     push = messages.Push((0.0, 6.0, 0.0), (0.0, 0.0, 0.0), 1.0)
     _, link = live(script, {10: push, 400: END})
     info = link.infos[0]
-    during = next(s for s in link.running if s.time > link.running[0].time + 0.9)
-    assert deviation(during, info, "y") < -0.05
-    assert during.hand_force is not None
-    np.testing.assert_allclose(during.hand_force[1], (0.0, 6.0, 0.0), atol=0.1)
+    pushed = next(s for s in link.running if s.time > link.running[0].time + 0.9)
+    assert deviation(pushed, info, "y") < -0.05
+    assert pushed.hand_force is not None
+    np.testing.assert_allclose(pushed.hand_force[1], (0.0, 6.0, 0.0), atol=0.1)
     assert link.running[-1].hand_force is None
     assert abs(deviation(link.running[-1], info, "y")) < 0.02
 
@@ -104,18 +104,18 @@ def test_grab_pulls_a_point_of_the_arm_and_lets_go(script):
     def heard(number):
         if number == 10:
             body = session._robot.plant.mj_model.site("tool").bodyid[0]
-            here = session._robot.plant.tool[:3, 3]
-            toward = here + np.array((0.0, 0.03, 0.0))
-            return [messages.Grab(int(body), tuple(here), tuple(toward))]
+            position = session._robot.plant.tool[:3, 3]
+            toward = position + np.array((0.0, 0.03, 0.0))
+            return [messages.Grab(int(body), tuple(position), tuple(toward))]
         if number == 100:
             return [messages.LetGo()]
         return [END] if number == 200 else []
 
     link.messages = counted(link, heard)
     session.run(1)
-    pulled = [s for s in link.running if s.hand_force is not None]
-    assert pulled
-    assert pulled[-1].step.deviation[1] < -0.01
+    snapshots = [s for s in link.running if s.hand_force is not None]
+    assert snapshots
+    assert snapshots[-1].step.deviation[1] < -0.01
     assert link.running[-1].hand_force is None
 
 
@@ -141,9 +141,9 @@ def test_grabbing_what_is_no_part_of_the_arm_does_nothing(script):
 def test_bad_settings_are_said_and_the_old_ones_stay(script, message, error_text):
     _, link = live(script, {4: message, 12: END})
     before, after = link.running[0], link.running[-1]
-    count, text, wrong = after.notice
+    count, text, is_error = after.notice
     assert count == 1
-    assert wrong
+    assert is_error
     assert error_text in text
     assert after.edit == 1
     assert after.shown.axes == before.shown.axes
@@ -160,22 +160,22 @@ def moved(pose, *offset):
 def test_target_out_of_reach_is_said_and_the_old_one_stays(script, far):
     link = script({})
     session = Session(Simulated("so101", paced=False), link)
-    near = (0.0, 0.0, -0.02)
-    asked = {10: near, 40: far, 80: (0.0, 0.0, 0.01)}
+    reachable = (0.0, 0.0, -0.02)
+    schedule = {10: reachable, 40: far, 80: (0.0, 0.0, 0.01)}
 
     def heard(number):
-        if number in asked:
-            return [messages.Target(moved(session.home, *asked[number]))]
+        if number in schedule:
+            return [messages.Target(moved(session.home, *schedule[number]))]
         return [END] if number == 120 else []
 
     link.messages = counted(link, heard)
     session.run(1)
-    told = [s for s in link.running if s.notice[1]]
-    assert told
-    assert "target" in told[0].notice[1]
-    assert told[0].notice[2]
-    for snapshot in told:
-        np.testing.assert_allclose(snapshot.step.target, moved(session.home, *near))
+    notified = [s for s in link.running if s.notice[1]]
+    assert notified
+    assert "target" in notified[0].notice[1]
+    assert notified[0].notice[2]
+    for snapshot in notified:
+        np.testing.assert_allclose(snapshot.step.target, moved(session.home, *reachable))
     # A valid target removes the message.
     assert link.running[-1].notice[1:] == ("", False)
 
@@ -222,14 +222,14 @@ def test_torque_on_while_it_is_on_changes_nothing(script):
 
 
 def test_all_firm_and_laws_on_a_small_arm(script):
-    asked = {
+    schedule = {
         5: messages.Firm(1, True),
         15: messages.Firm(2, False),
         20: messages.Law(3, "impedance"),
         30: messages.Law(4, "paper"),
         40: END,
     }
-    _, link = live(script, asked, robot="koch")
+    _, link = live(script, schedule, robot="koch")
     assert {s.notice[1] for s in link.running} == {""}
     assert {s.shown.law for s in link.running} == {"cap", "impedance", "paper"}
     assert {s.shown.firm for s in link.running} == {True, False}
@@ -247,8 +247,8 @@ def test_laws_change_while_it_runs(script, law):
 def test_every_preset_can_be_chosen(script):
     first, link = live(script, {4: END})
     names = link.infos[0].presets
-    asked = {10 + 6 * i: messages.Preset(i + 1, name) for i, name in enumerate(names)}
-    _, link = live(script, {**asked, 10 + 6 * len(names): END})
+    schedule = {10 + 6 * i: messages.Preset(i + 1, name) for i, name in enumerate(names)}
+    _, link = live(script, {**schedule, 10 + 6 * len(names): END})
     assert [s.notice[1] for s in link.running if s.notice[1]] == []
     assert {s.shown.preset for s in link.running} >= set(names)
     assert first.editor.presets == names
@@ -280,8 +280,8 @@ def test_door_opens_when_played(script):
 
 def test_person_takes_the_object_when_asked(script):
     session, _ = live(script, {10: messages.Play(), 300: END}, scene="hand-over")
-    item = session._robot.plant.fixtures[0]
-    assert item.released is not None
+    handover_object = session._robot.plant.fixtures[0]
+    assert handover_object.released is not None
 
 
 def test_wall_meets_little_more_than_the_cap(script):
@@ -329,14 +329,14 @@ def test_trouble_on_the_bus_is_said_and_torque_can_come_back(script):
     link = script({40: messages.Start(), 70: END})
     session = Session(Simulated("arm7", paced=False), link)
     inner = link.messages
-    broken = []
+    failures = []
 
     def trip():
-        result = inner()
-        if link.calls == 20 and not broken:
-            broken.append(True)
+        sample = inner()
+        if link.calls == 20 and not failures:
+            failures.append(True)
             raise ServoError("shoulder: it is too hot")
-        return result
+        return sample
 
     link.messages = trip
     session.run(2)
