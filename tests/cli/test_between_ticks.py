@@ -61,11 +61,11 @@ def command(tmp_path):
     """Run a command over an emulated SO-101 that stays enabled."""
     arm = left_enabled(tmp_path)
 
-    def run(name, *flags, each="pass", backend="emulator"):
-        words = (name, arm, *flags, "--backend", backend)
+    def run(name, *flags, statement="pass", backend="emulator"):
+        arguments = (name, arm, *flags, "--backend", backend)
         # Use a new process: an import between ticks shows only if the module is not loaded yet.
         start = run_alone if backend == "emulator" else programs.run
-        result = start("-c", PROGRAM.replace("{each}", each), *words)
+        result = start("-c", PROGRAM.replace("{each}", statement), *arguments)
         assert result.stdout, result.stderr
         code, loaded = json.loads(result.stdout.splitlines()[-1])
         return code, loaded, result
@@ -91,9 +91,9 @@ def test_nothing_is_loaded_between_two_ticks(command, tmp_path, name):
         "run": ["--duration", "1"],
         "replay": [moved(tmp_path / "r.json")],
     }
-    code, loaded, result = command(name, *flags[name])
+    code, modules, result = command(name, *flags[name])
     assert code == 0, result.stderr
-    assert not loaded
+    assert not modules
     if name == "teach":
         assert "pliant replay" in result.stdout
         was_led(flags[name][0])
@@ -101,11 +101,11 @@ def test_nothing_is_loaded_between_two_ticks(command, tmp_path, name):
 
 def test_a_recording_outlives_ctrl_c(command, tmp_path):
     file = tmp_path / "m.json"
-    each = (
+    statement = (
         "recorded and (recorded.append(1), "
         "len(recorded) == 300 and os.kill(os.getpid(), signal.SIGINT))"
     )
-    code, _, result = command("teach", str(file), "--scripted-hand", each=each, backend="sim")
+    code, _, result = command("teach", str(file), "--scripted-hand", each=statement, backend="sim")
     assert code == 130, result.stderr
     motion = Motion.load(file)
     assert 0.5 < motion.duration < 4.0
@@ -115,9 +115,9 @@ def test_a_recording_outlives_ctrl_c(command, tmp_path):
 
 @pytest.mark.parametrize(("name", "code"), [("SIGINT", 130), ("SIGTERM", 143), ("SIGHUP", 129)])
 def test_a_run_that_a_signal_ends_has_its_summary_and_code(command, name, code):
-    each = f"if tick.index == 20: os.kill(os.getpid(), signal.{name})"
-    left, _, result = command("run", each=each, backend="sim")
-    assert left == code, result.stderr
+    statement = f"if tick.index == 20: os.kill(os.getpid(), signal.{name})"
+    exit_code, _, result = command("run", each=statement, backend="sim")
+    assert exit_code == code, result.stderr
     assert "ticks, late by" in result.stdout
     assert "torque ON" in result.stderr
 

@@ -72,9 +72,9 @@ def test_setup_shows_asks_writes_and_undoes(arm, tmp_path, capsys, monkeypatch):
     assert not backup.exists()
 
     assert main([*flags, "--yes"]) == 0
-    written = {(w.id, w.address) for w in bus.log.eeprom_writes()}
-    assert {(i, 9) for i in range(1, 7)} <= written, "return delay of every servo"
-    assert {(i, 11) for i in (1, 2, 3)} <= written, "operating mode of the current-limited"
+    registers = {(w.id, w.address) for w in bus.log.eeprom_writes()}
+    assert {(i, 9) for i in range(1, 7)} <= registers, "return delay of every servo"
+    assert {(i, 11) for i in (1, 2, 3)} <= registers, "operating mode of the current-limited"
     old = json.loads(backup.read_text())
     assert old["arm"] == str(file)
     old = old["changes"]
@@ -102,18 +102,18 @@ def test_setup_reports_a_missing_backup(arm, tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    "words",
+    "arguments",
     [
         ["servos", "setup", "so101", "--undo", "nope.json"],
         ["run", "so101", "--backend", "sim", "--targets", "nope.json"],
     ],
 )
 def test_a_missing_file_comes_before_ports_and_names_those_there_are(
-    words, tmp_path, capsys, monkeypatch
+    arguments, tmp_path, capsys, monkeypatch
 ):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "other.json").write_text("")
-    assert main(words) == 2
+    assert main(arguments) == 2
     assert "there is no file nope.json; there are other.json" in capsys.readouterr().err
 
 

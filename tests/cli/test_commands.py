@@ -41,13 +41,13 @@ def meaning(action):
 
 
 def test_a_flag_means_the_same_everywhere():
-    found = defaultdict(dict)
+    meanings = defaultdict(dict)
     for command in COMMANDS.keys() - EXPERIMENTS:
         for name, action in arguments(command):
-            found[name].setdefault(meaning(action), []).append(command)
+            meanings[name].setdefault(meaning(action), []).append(command)
     shared = {"ARM", "LOG", "--backend", "--port", "--soft", "--duration", "--output", "--log"}
-    assert shared <= {name for name, known in found.items() if sum(map(len, known.values())) > 1}
-    assert {name: known for name, known in found.items() if len(known) > 1} == {}
+    assert shared <= {name for name, known in meanings.items() if sum(map(len, known.values())) > 1}
+    assert {name: known for name, known in meanings.items() if len(known) > 1} == {}
 
 
 def test_a_port_is_a_serial_port_and_a_page_has_another_flag():
@@ -78,7 +78,7 @@ def test_a_first_word_alone_lists_its_commands(prefix, flags, capsys):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "meant"),
+    ("arguments", "suggestion"),
     [
         ("doctor so101", "servos doctor"),
         ("scna", "servos scan"),
@@ -88,11 +88,11 @@ def test_a_first_word_alone_lists_its_commands(prefix, flags, capsys):
         ("reply so101 wave.json", "replay"),
     ],
 )
-def test_an_unknown_command_gets_a_suggestion(arguments, meant, capsys):
+def test_an_unknown_command_gets_a_suggestion(arguments, suggestion, capsys):
     assert main(arguments.split()) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1
-    assert f"did you mean `pliant {meant}`?" in error
+    assert f"did you mean `pliant {suggestion}`?" in error
 
 
 def test_arms_lists_the_ready_arms(capsys):
@@ -155,8 +155,8 @@ def test_identify_servos_prints_a_table_for_the_file(so101, capsys):
     out = capsys.readouterr().out
     servo = pasted(out)["servo"]
     text = so101.read_text(encoding="utf-8")
-    head, _, rest = text.partition("[servo]")
-    gripper = "[gripper]" + rest.partition("[gripper]")[2]
+    head, _, tail = text.partition("[servo]")
+    gripper = "[gripper]" + tail.partition("[gripper]")[2]
     lines = out.partition("[servo]\n")[2].partition("\n\n")[0]
     so101.write_text(f"{head}[servo]\n{lines}\n\n{gripper}", encoding="utf-8")
     model = config.load(str(so101)).model()

@@ -36,10 +36,10 @@ def test_a_urdf_with_masses_in_grams_is_not_ready(factor, is_bad, tmp_path):
     text = files("pliant.robots").joinpath("so101_like.urdf").read_text("utf-8")
     heavy = re.sub(r'mass value="([\d.]+)"', lambda m: f'mass value="{factor * float(m[1])}"', text)
     (tmp_path / "arm.urdf").write_text(heavy, "utf-8")
-    bad = findings(so101_of("arm.urdf"), tmp_path)
-    assert ("model" in bad) == is_bad
+    messages = findings(so101_of("arm.urdf"), tmp_path)
+    assert ("model" in messages) == is_bad
     if is_bad:
-        assert "gravity takes all the torque" in bad["model"]
+        assert "gravity takes all the torque" in messages["model"]
     notes = findings(so101_of("arm.urdf"), tmp_path, "note")
     assert "6 axes on an arm of 5 joints" in notes["settings"]
     assert "settings" not in findings(
@@ -52,8 +52,8 @@ def test_a_rest_pose_inside_the_table_is_bad(tmp_path):
         'urdf = "arm.urdf"\nbase = "base"\ntip = "tool"', 'builtin = "so101"\ntable = 0.0'
     )
     assert findings(text + "[life]\nrest_q = [0, 0, 0, 0, 0]\n", tmp_path) == {}
-    bad = findings(text + "[life]\nrest_q = [0, 1.5, 1.2, 0, 0]\n", tmp_path)
-    assert "inside the table" in bad["rest pose"]
+    messages = findings(text + "[life]\nrest_q = [0, 1.5, 1.2, 0, 0]\n", tmp_path)
+    assert "inside the table" in messages["rest pose"]
 
 
 def test_a_gain_that_the_servo_has_not_is_said():
@@ -68,9 +68,9 @@ def test_a_gain_that_the_servo_has_not_is_said():
     text = config.loader.builtin_text("so101").replace("id = 2, gain = 16", "id = 2, gain = 32")
     with make_emulator(config.parse(f'backend = "emulator"\n{text}')) as bus:
         arm_config = config.load("so101", port=bus.port)
-        said = {f.about: f.text for f in examine(arm_config) if f.level == "note"}
-    assert said["shoulder_lift"].startswith("its P gain is 32, the file says 16")
-    assert "shoulder_pan" not in said
+        notes = {f.about: f.text for f in examine(arm_config) if f.level == "note"}
+    assert notes["shoulder_lift"].startswith("its P gain is 32, the file says 16")
+    assert "shoulder_pan" not in notes
 
 
 def test_the_watch_ends_with_a_rest_pose_to_paste(capsys):
@@ -115,8 +115,8 @@ def test_mistakes_stand_one_to_a_line(tmp_path, capsys):
 
 @pytest.mark.parametrize(("count", "message"), [(1, "1 problem to fix"), (2, "2 problems to fix")])
 def test_it_ends_with_the_number_of_problems(count, message, monkeypatch, capsys):
-    found = [Diagnosis("bad", "servo", "it is not there")] * count
-    monkeypatch.setattr(doctor, "examine", lambda _: [Diagnosis("good", "file", "read"), *found])
+    problems = [Diagnosis("bad", "servo", "it is not there")] * count
+    monkeypatch.setattr(doctor, "examine", lambda _: [Diagnosis("good", "file", "read"), *problems])
     assert main(["servos", "doctor", "so101", "--backend", "sim"]) == 2
     assert capsys.readouterr().err == f"error: not ready: {message}\n"
 

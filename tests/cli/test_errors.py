@@ -48,8 +48,8 @@ def said(tmp_path, capsys):
 
 def all_say(texts, *fragments):
     for text in texts:
-        for word in fragments:
-            assert word in text, text
+        for fragment in fragments:
+            assert fragment in text, text
 
 
 def servos(*ids, **registers):
@@ -100,9 +100,9 @@ def test_two_servos_on_one_id(said):
 def test_new_servos_that_all_have_one_id_are_seen_by_scan(capsys):
     with Emulator(servos(1, 1, 1, 2)) as bus:
         assert main(["servos", "scan", "--port", bus.port, "--baud", "1000000"]) == 0
-    said = " ".join(capsys.readouterr().out.split())
-    assert "two servos on this id?" in said
-    assert "`pliant servos setup ARM --set-id OLD:NEW`" in said
+    output = " ".join(capsys.readouterr().out.split())
+    assert "two servos on this id?" in output
+    assert "`pliant servos setup ARM --set-id OLD:NEW`" in output
 
 
 def test_a_low_voltage_servo_on_12_volts(said):
@@ -157,8 +157,8 @@ def test_an_emulator_without_a_duration_that_can_be_is_refused(duration, capsys)
 
 
 def test_an_emulator_that_is_ended_leaves_nothing(tmp_path):
-    place = {**os.environ, "TMPDIR": str(tmp_path)}
-    with Program("-m", "pliant.cli", "servos", "emulate", "so101", env=place) as running:
+    environment = {**os.environ, "TMPDIR": str(tmp_path)}
+    with Program("-m", "pliant.cli", "servos", "emulate", "so101", env=environment) as running:
         assert "tty-main" in running.stdout.readline()
         assert list(tmp_path.iterdir())
         running.send_signal(signal.SIGTERM)
@@ -170,8 +170,8 @@ def test_the_emulator_starts_first_and_reports_late_replies(monkeypatch, capsys)
     pytest.importorskip("mujoco", reason="the arm behind the bytes needs the extra sim")
     requests = []
     monkeypatch.setattr(os, "nice", requests.append)
-    late = iter([0.001, 0.150, 0.160, *[0.350] * 1000])
-    monkeypatch.setattr(Emulator, "late", property(lambda _: next(late)))
+    latencies = iter([0.001, 0.150, 0.160, *[0.350] * 1000])
+    monkeypatch.setattr(Emulator, "late", property(lambda _: next(latencies)))
     assert main(["servos", "emulate", "so101", "--duration", "1"]) == 0
     assert requests == [-10]
     out = " ".join(capsys.readouterr().out.split())

@@ -25,17 +25,17 @@ def test_no_words_change_nothing(holds):
 @pytest.mark.parametrize("text", ["y=2 z=3.5", "y=2,z=3.5", " z=3.5  y=2 "])
 def test_a_cap_is_constant_over_the_deviation(text):
     for holds in (True, False):
-        made = soft(text, holds=holds)
-        strengths = pliant.Controller(MODEL, made).axes
+        settings = soft(text, holds=holds)
+        strengths = pliant.Controller(MODEL, settings).axes
         assert [strengths[name].soft for name in "yz"] == [(2.0, 2.0), (3.5, 3.5)]
-        assert [made.axes[name].profile for name in "yz"] == ["constant", "constant"]
-        assert made.axes["z"].adaptation == 0.0, "a named axis is as the flag says"
+        assert [settings.axes[name].profile for name in "yz"] == ["constant", "constant"]
+        assert settings.axes["z"].adaptation == 0.0, "a named axis is as the flag says"
 
 
 def test_axes_that_are_not_named_hold_or_stay():
-    hold, stay = soft("y=2", holds=True), soft("y=2", holds=False)
-    assert (hold.axes["x"], hold.axes["z"]) == (pliant.Axis(), pliant.Axis())
-    assert (stay.axes["x"], stay.axes["z"]) == (SETTINGS.axes["x"], SETTINGS.axes["z"])
+    held, unchanged = soft("y=2", holds=True), soft("y=2", holds=False)
+    assert (held.axes["x"], held.axes["z"]) == (pliant.Axis(), pliant.Axis())
+    assert (unchanged.axes["x"], unchanged.axes["z"]) == (SETTINGS.axes["x"], SETTINGS.axes["z"])
 
 
 def test_an_axis_without_a_cap_takes_the_arms_own():
@@ -48,9 +48,9 @@ def test_an_axis_without_a_cap_takes_the_arms_own():
 
 
 def test_everything_else_of_the_settings_is_kept():
-    own = SETTINGS.replace(rate=50.0, max_tool_speed=(0.1, 0.5))
-    made = apply_soft(own, "y=2", MODEL, holds=True)
-    assert made == own.replace(axes={"y": pliant.Axis(soft=2.0, profile="constant")})
+    original = SETTINGS.replace(rate=50.0, max_tool_speed=(0.1, 0.5))
+    settings = apply_soft(original, "y=2", MODEL, holds=True)
+    assert settings == original.replace(axes={"y": pliant.Axis(soft=2.0, profile="constant")})
 
 
 @pytest.mark.parametrize(

@@ -10,9 +10,9 @@ pytest.importorskip("mujoco", reason="runs need the extra sim")
 PLIANT = (sys.executable, "-m", "pliant.cli")
 
 
-@pytest.mark.parametrize("closed", [">&-", "<&- >&- 2>&-"])
-def test_a_command_runs_with_closed_streams(closed):
-    shell = ("/bin/sh", "-c", f'exec "$@" {closed}', "sh")
+@pytest.mark.parametrize("descriptors", [">&-", "<&- >&- 2>&-"])
+def test_a_command_runs_with_closed_streams(descriptors):
+    shell = ("/bin/sh", "-c", f'exec "$@" {descriptors}', "sh")
     result = subprocess.run(
         [*shell, *PLIANT, "arms", "koch"], capture_output=True, timeout=100, check=False
     )

@@ -17,7 +17,7 @@ from pliant.cli import main
 from pliant.cli._targets import MAX_LINE, StreamTargets, Target, open_targets
 
 MODEL = pliant.robots.so101()
-GOOD = b'{"position": [0.2, 0.0, 0.2]}\n'
+TARGET_LINE = b'{"position": [0.2, 0.0, 0.2]}\n'
 TARGET = Target(position=(0.2, 0.0, 0.2))
 PORT = 20177
 
@@ -80,8 +80,8 @@ def test_reach_counts_from_the_first_joint_that_moves():
 
 
 def test_joints_may_be_a_little_beyond_their_limits():
-    for given in (MODEL.upper + 0.1, MODEL.lower - 0.1):
-        Target(q=tuple(given)).check(MODEL)
+    for q in (MODEL.upper + 0.1, MODEL.lower - 0.1):
+        Target(q=tuple(q)).check(MODEL)
     with pytest.raises(pliant.OutOfRangeError, match=r"wrist_roll\) \[rad\] = .* degrees"):
         Target(q=(0.0, 0.0, 0.0, 0.0, MODEL.upper[4] + 0.3)).check(MODEL)
 
@@ -101,7 +101,7 @@ def pipe():
     source.__exit__()
 
 
-WRONG = [
+INVALID_LINES = [
     b'{"position": [200, 0, 200]}\n',
     b'{"position": [1e300, 0, 0]}\n',
     b'{"position": [' + b"1" * 400 + b", 0, 0]}\n",
@@ -113,7 +113,7 @@ WRONG = [
 ]
 
 
-@pytest.mark.parametrize("line", WRONG)
+@pytest.mark.parametrize("line", INVALID_LINES)
 def test_a_wrong_line_of_a_stream_is_said_and_skipped(line, pipe, capsys):
     source, write, end = pipe
     write(line)
@@ -121,10 +121,10 @@ def test_a_wrong_line_of_a_stream_is_said_and_skipped(line, pipe, capsys):
     stderr = capsys.readouterr().err
     assert stderr.startswith("target refused: ")
     assert len(stderr) < 400
-    write(b"\n", GOOD)
+    write(b"\n", TARGET_LINE)
     assert source.latest() == TARGET
     assert not source.done
-    write(GOOD.strip())
+    write(TARGET_LINE.strip())
     end()
     time.sleep(0.1)
     assert source.latest() == TARGET, "also a last line without an end"
@@ -133,7 +133,7 @@ def test_a_wrong_line_of_a_stream_is_said_and_skipped(line, pipe, capsys):
 
 def test_of_many_lines_the_newest_counts(pipe):
     source, write, _ = pipe
-    write(b'{"position": [0.1, 0.0, 0.2]}\n' * 50 + GOOD)
+    write(b'{"position": [0.1, 0.0, 0.2]}\n' * 50 + TARGET_LINE)
     assert source.latest() == TARGET
     assert source.latest() is None
 
@@ -146,9 +146,9 @@ def test_refusals_are_said_a_few_times_a_second(pipe, capsys):
     source.__exit__()
     stderr = capsys.readouterr().err.splitlines()
     assert len(stderr) < 4
-    told = sum("target refused" in line for line in stderr)
-    left = sum(int(count) for count in re.findall(r"(\d+) more", "\n".join(stderr)))
-    assert told + left == 6
+    shown = sum("target refused" in line for line in stderr)
+    omitted = sum(int(count) for count in re.findall(r"(\d+) more", "\n".join(stderr)))
+    assert shown + omitted == 6
 
 
 def complaints(text):
@@ -158,7 +158,7 @@ def complaints(text):
 
 def test_a_flood_on_standard_input_does_not_hold_the_loop():
     argv = ["run", "so101", "--backend", "sim", "--quiet", "--targets", "-", "--duration", "2"]
-    with subprocess.Popen(["yes", GOOD.decode().strip()], stdout=subprocess.PIPE) as flood:
+    with subprocess.Popen(["yes", TARGET_LINE.decode().strip()], stdout=subprocess.PIPE) as flood:
         result = programs.run("-m", "pliant.cli", *argv, stdin=flood.stdout)
         flood.terminate()
     assert result.returncode == 0, result.stderr
@@ -179,11 +179,11 @@ def test_datagrams_come_from_this_machine_only(capsys):
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender,
     ):
         assert source.latest() is None
-        for text in (b"nonsense", b'{"q": [0, 0]}', GOOD):
+        for text in (b"nonsense", b'{"q": [0, 0]}', TARGET_LINE):
             sender.sendto(text, ("127.0.0.1", PORT))
         time.sleep(0.1)
         assert source.latest() == TARGET
-        for line in (*WRONG[:3], b" " * MAX_LINE + GOOD):
+        for line in (*INVALID_LINES[:3], b" " * MAX_LINE + TARGET_LINE):
             sender.sendto(line, ("127.0.0.1", PORT))
             time.sleep(0.1)
             assert source.latest() is None
@@ -191,12 +191,12 @@ def test_datagrams_come_from_this_machine_only(capsys):
 
 
 def test_a_flood_of_datagrams_does_not_hold_a_tick():
-    over = threading.Event()
+    is_over = threading.Event()
 
     def flood():
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
-            while not over.is_set():
-                sender.sendto(GOOD, ("127.0.0.1", PORT + 1))
+            while not is_over.is_set():
+                sender.sendto(TARGET_LINE, ("127.0.0.1", PORT + 1))
 
     with open_targets(f"udp:{PORT + 1}", MODEL) as source:
         thread = threading.Thread(target=flood)
@@ -204,17 +204,17 @@ def test_a_flood_of_datagrams_does_not_hold_a_tick():
         try:
             time.sleep(0.1)
             start = time.monotonic()
-            found = [source.latest() for _ in range(5)]
+            targets = [source.latest() for _ in range(5)]
             assert time.monotonic() - start < 10.0
-            assert TARGET in found
+            assert TARGET in targets
         finally:
-            over.set()
+            is_over.set()
             thread.join()
 
 
 def test_a_target_that_was_not_reached_is_said(tmp_path, capsys):
     file = tmp_path / "targets"
-    file.write_bytes(GOOD)
+    file.write_bytes(TARGET_LINE)
     argv = ["run", "so101", "--backend", "sim", "--quiet", "--targets", str(file)]
     assert main([*argv, "--duration", "0.1"]) == 0
     assert re.search(r"the tool is 1\d\d mm off its last target\n", capsys.readouterr().out)
@@ -224,9 +224,9 @@ def test_joints_at_their_limits_are_named_where_a_target_was_not_reached():
     """An SO-101 in its rest pose cannot reach a target above it, because of its joint limits."""
     from pliant.cli.run import _describe_target_error
 
-    folded = np.array([0.0, -1.75, 1.7, 0.0, 0.0])
+    folded_q = np.array([0.0, -1.75, 1.7, 0.0, 0.0])
     target = MODEL.forward_kinematics([0.0, -0.3, 0.3, 0.9, 0.0])
-    (said,) = _describe_target_error(MODEL, folded, target)
-    assert "at their limits: shoulder_lift, elbow_flex" in said
-    assert "another pose" in said
-    assert not _describe_target_error(MODEL, folded, MODEL.forward_kinematics(folded))
+    (sentence,) = _describe_target_error(MODEL, folded_q, target)
+    assert "at their limits: shoulder_lift, elbow_flex" in sentence
+    assert "another pose" in sentence
+    assert not _describe_target_error(MODEL, folded_q, MODEL.forward_kinematics(folded_q))

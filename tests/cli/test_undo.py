@@ -49,19 +49,19 @@ def done(arm, capsys):
 
 
 def test_the_printed_command_puts_the_values_back(done, capsys, monkeypatch):
-    bus, file, backup, said = done
+    bus, file, backup, output = done
     old = json.loads(backup.read_text())
-    assert f"{len(old['changes'])} registers written" in said
-    (line,) = [line for line in said.splitlines() if "puts them back" in line]
-    name, *words = shlex.split(line.partition("back: ")[2])
-    assert (name, words[:2]) == ("pliant", ["servos", "setup"])
-    assert words[2] == str(file)
-    assert words[-2:] == ["--port", bus.port]
-    assert main([*words, "--yes"]) == 0
+    assert f"{len(old['changes'])} registers written" in output
+    (line,) = [line for line in output.splitlines() if "puts them back" in line]
+    name, *argv = shlex.split(line.partition("back: ")[2])
+    assert (name, argv[:2]) == ("pliant", ["servos", "setup"])
+    assert argv[2] == str(file)
+    assert argv[-2:] == ["--port", bus.port]
+    assert main([*argv, "--yes"]) == 0
     assert f"{len(old['changes'])} registers written" in capsys.readouterr().out
     assert len(bus.log.eeprom_writes()) == len(old["changes"])
     # A second undo changes nothing, because it reads the registers first.
-    assert main([*words, "--yes"]) == 0
+    assert main([*argv, "--yes"]) == 0
     assert "nothing to change" in capsys.readouterr().out
 
 

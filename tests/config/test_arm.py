@@ -65,7 +65,7 @@ def move(arm, name):
 def test_a_ready_arm_moves_over_real_bytes(name):
     arm_config = config.load(name)
     with make_emulator(arm_config, clock="steps") as bus:
-        chain = ServoBus(
+        servo_bus = ServoBus(
             factory.servo_specs(arm_config, bus.ports),
             reply_timeout_min=0.2,
             clock=ManualClock(bus),
@@ -75,13 +75,13 @@ def test_a_ready_arm_moves_over_real_bytes(name):
             "grippers": factory.gripper_configs(arm_config),
             "handle_signals": False,
         }
-        with pliant.Arm(arm_config.model(), chain, **options) as arm:
-            target, reached = move(arm, name)
+        with pliant.Arm(arm_config.model(), servo_bus, **options) as arm:
+            target, final = move(arm, name)
             arm.disable_torque()
-        order = bus.log.order(chain.specs[0].id)
+        order = bus.log.order(servo_bus.specs[0].id)
         assert not bus.log.eeprom_writes()
     # The supply's voltage and the gain registers, not the ideal servos of the built-in table.
-    assert np.linalg.norm(reached - target) < 0.015
+    assert np.linalg.norm(final - target) < 0.015
     assert order[:3] == ["limit", "goal", "torque on"]
 
 
@@ -89,11 +89,11 @@ def test_a_ready_arm_moves_over_real_bytes(name):
 def test_a_ready_arm_on_an_emulator_of_its_own():
     options = {"rate": 20.0, "comm_timeout": 20.0, "handle_signals": False}
     with pliant.connect("arm7", backend="emulator", **options) as arm:
-        chain = arm.drive
+        servo_bus = arm.drive
         move(arm, "arm7")
-        order = chain.emulator.call("log.order", chain.specs[0].id)
-        assert not chain.emulator.call("log.eeprom_writes")
-        assert [servo.voltage for servo in chain.found] == [18.5] * 7
+        order = servo_bus.emulator.call("log.order", servo_bus.specs[0].id)
+        assert not servo_bus.emulator.call("log.eeprom_writes")
+        assert [servo.voltage for servo in servo_bus.found] == [18.5] * 7
         arm.disable_torque()
     assert order[:3] == ["limit", "goal", "torque on"]
 

@@ -14,7 +14,7 @@ from pliant.emulator import ManualClock
 from pliant.servo import ServoBus
 
 ROBOTS = Path(__file__).parents[3] / "shared" / "robots"
-OWN = ("arm7", "koch", "so100", "so101")
+READY_FILES = ("arm7", "koch", "so100", "so101")
 SIM = 'backend = "sim"\nrobot.builtin = "so101"\n'
 
 
@@ -23,7 +23,7 @@ def test_ready_files_are_valid_and_described(name):
     arm_config = config.load(name)
     assert len(config.describe_arm(name)) > 40
     assert arm_config.settings().rate == arm_config.loop.rate
-    if name in OWN:
+    if name in READY_FILES:
         model = arm_config.model()
         assert list(arm_config.servo) == list(model.joint_names)
         pliant.Controller(model, arm_config.settings())
@@ -227,20 +227,20 @@ def test_directions_of_the_ready_so101_match_the_makers_model():
     if not urdf.is_file():
         pytest.skip(f"no {urdf}")
     arm_config = config.load("so101")
-    own, makers = arm_config.model(), pliant.Model.from_urdf(urdf, tip="gripper_frame_link")
-    signs = np.array([arm_config.servo[joint].sign for joint in own.joint_names])
-    for joint in range(own.n):
-        counts = np.eye(own.n)[joint] * 0.4
-        turn = [
+    model, makers_model = arm_config.model(), pliant.Model.from_urdf(urdf, tip="gripper_frame_link")
+    signs = np.array([arm_config.servo[joint].sign for joint in model.joint_names])
+    for joint in range(model.n):
+        counts = np.eye(model.n)[joint] * 0.4
+        rotation = [
             np.asarray(
                 m.forward_kinematics(q)[:3, :3] @ m.forward_kinematics(np.zeros(5))[:3, :3].T
             )
-            for m, q in ((own, signs * counts), (makers, counts))
+            for m, q in ((model, signs * counts), (makers_model, counts))
         ]
-        np.testing.assert_allclose(turn[0], turn[1], atol=0.06)
+        np.testing.assert_allclose(rotation[0], rotation[1], atol=0.06)
 
 
-@pytest.mark.parametrize("name", OWN)
+@pytest.mark.parametrize("name", READY_FILES)
 def test_a_file_for_a_built_in_model_takes_no_other_urdf(name):
     message = r"model '\w+': its signs and zeros are wrong for my\.urdf.*docs/robots/so101\.md"
     with pytest.raises(pliant.ConfigError, match=message):
@@ -248,17 +248,17 @@ def test_a_file_for_a_built_in_model_takes_no_other_urdf(name):
 
 
 @contextmanager
-def makers_arm(read):
+def makers_arm(arm_config):
     """Yield the arm of a configuration, on emulated servos in emulated time."""
-    if read.backend == "sim":
-        with pliant.connect(read, handle_signals=False) as arm:
+    if arm_config.backend == "sim":
+        with pliant.connect(arm_config, handle_signals=False) as arm:
             yield arm
         return
-    with make_emulator(read, clock="steps") as bus:
-        specs = factory.servo_specs(read, bus.ports)
+    with make_emulator(arm_config, clock="steps") as bus:
+        specs = factory.servo_specs(arm_config, bus.ports)
         drive = ServoBus(specs, reply_timeout_min=0.5, clock=ManualClock(bus))
-        grippers = factory.gripper_configs(read)
-        with pliant.Arm(read.model(), drive, grippers=grippers, handle_signals=False) as arm:
+        grippers = factory.gripper_configs(arm_config)
+        with pliant.Arm(arm_config.model(), drive, grippers=grippers, handle_signals=False) as arm:
             yield arm
 
 
@@ -306,7 +306,7 @@ def test_a_bound_on_a_dead_host_reaches_the_servos_from_the_file():
     """Run a loop over the arm of a file, with and without `max_host_loss_force`."""
     work = np.array([-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657])
     text = 'backend = "sim"\nrobot.builtin = "arm7"\n[settings]\naxes.y = { soft = 4.0 }\n'
-    left, sent = [], []
+    residuals, commands = [], []
     for bound in ("", "torque_limits.max_host_loss_force = 44.0\n"):
         arm_config = config.parse(text + bound)
         still = pliant.connect(arm_config)
@@ -318,11 +318,11 @@ def test_a_bound_on_a_dead_host_reaches_the_servos_from_the_file():
                 tick.write(command)
             assert np.abs(arm.read().q - work).max() < 1e-3, "it stands"
             axes = controller.report().axes
-            left.append(max(max(axes[axis].host_loss_force) for axis in "xyz"))
-            sent.append(command.torque_limit)
-    assert left[0] > 46.0
-    assert left[1] <= 44.0
-    assert np.all(sent[1] <= sent[0] + 1e-9)
+            residuals.append(max(max(axes[axis].host_loss_force) for axis in "xyz"))
+            commands.append(command.torque_limit)
+    assert residuals[0] > 46.0
+    assert residuals[1] <= 44.0
+    assert np.all(commands[1] <= commands[0] + 1e-9)
     with pytest.raises(pliant.ConfigError, match="did you mean 'max_host_loss_force'"):
         config.parse(text + "torque_limits.max_host_loss_forc = 44.0\n").settings()
 

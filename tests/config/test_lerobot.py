@@ -64,7 +64,7 @@ def test_a_range_that_the_encoder_has_not_is_refused(tmp_path, key, count):
         'robot.builtin = "so101"\ncalibration = "cal.json"\n[[port]]\npath = "/dev/x"\n[servo]\n'
         'shoulder_pan = { model = "STS3215-7.4V", id = 1 }\n'
     )
-    read = pliant.config.parse(text, folder=tmp_path)
+    arm_config = pliant.config.parse(text, folder=tmp_path)
     message = rf"shoulder_pan\.{key} is {count}, and positions of STS3215-7\.4V run from 0 to 4095"
     with pytest.raises(pliant.ConfigError, match=message):
-        zeros(read)
+        zeros(arm_config)

@@ -36,8 +36,8 @@ def lerobot_value(count, entry, norm, *, is_feetech):
 @pytest.mark.parametrize("name", ["so101", "koch"])
 def test_values_are_those_of_lerobot(name, mode, use_degrees, tmp_path):
     changes = {joint: {"drive_mode": mode} for joint in ("elbow_flex", "gripper")}
-    own, table = calibrated(tmp_path, name, **changes)
-    units = config.motor_units(own, own.model(), use_degrees=use_degrees)
+    arm_config, table = calibrated(tmp_path, name, **changes)
+    units = config.motor_units(arm_config, arm_config.model(), use_degrees=use_degrees)
     assert tuple(units) == JOINTS
     for joint, unit in units.items():
         norm = "range_0_100" if joint == "gripper" else unit.norm
@@ -53,8 +53,8 @@ def test_values_are_those_of_lerobot(name, mode, use_degrees, tmp_path):
 
 
 def test_zero_of_a_joint_is_the_middle_and_of_a_gripper_closed(tmp_path):
-    own, _ = calibrated(tmp_path)
-    units = config.motor_units(own, own.model())
+    arm_config, _ = calibrated(tmp_path)
+    units = config.motor_units(arm_config, arm_config.model())
     for joint in JOINTS[:-1]:
         assert units[joint].value(0.0) == pytest.approx(0.0, abs=1e-9)
     assert units["gripper"].value(0.0) == pytest.approx(0.0)
@@ -84,8 +84,8 @@ def test_calibrations_are_found_where_each_version_left_them(tmp_path, monkeypat
         (tmp_path / subfolder).mkdir(parents=True)
     (tmp_path / "robots/so101_follower/mine.json").write_text("{}")
     (tmp_path / "teleoperators/so_leader/lead.json").write_text("{}")
-    found = config.find_calibration("mine", "so101")
-    assert found == tmp_path / "robots/so101_follower/mine.json"
+    path = config.find_calibration("mine", "so101")
+    assert path == tmp_path / "robots/so101_follower/mine.json"
     leader = config.find_calibration("lead", "so100", "teleoperators")
     assert leader.parent.name == "so_leader"
     (tmp_path / "robots/so_follower").mkdir()

@@ -20,9 +20,9 @@ NAMES = list(pliant.robots.so101().joint_names)
 
 def mounts(**changes):
     """Return STS3215 on every joint of the SO-101, and on its gripper; `changes` by joint."""
-    made = [Mount(joint=name, model="STS3215", id=k + 1) for k, name in enumerate(NAMES)]
-    made.append(Mount(joint="gripper", model="STS3215", id=6))
-    return [changes.get(mount.joint, mount) for mount in made]
+    result = [Mount(joint=name, model="STS3215", id=k + 1) for k, name in enumerate(NAMES)]
+    result.append(Mount(joint="gripper", model="STS3215", id=6))
+    return [changes.get(mount.joint, mount) for mount in result]
 
 
 def so101(made=None, q=POSE, **options):

@@ -27,18 +27,18 @@ def bus(model, **registers):
 @pytest.fixture
 def open_sdk(monkeypatch):
     """Open a port with a vendor's SDK, with a timeout for a busy machine, and close it."""
-    opened = []
+    ports = []
 
     def open_port(sdk, path):
         monkeypatch.setattr(sdk.port_handler, "LATENCY_TIMER", 1000.0)
         port = sdk.PortHandler(path)
         assert port.openPort()
         assert port.setBaudRate(BAUD)
-        opened.append(port)
+        ports.append(port)
         return port
 
     yield open_port
-    for port in opened:
+    for port in ports:
         port.closePort()
 
 
@@ -123,12 +123,12 @@ def test_dynamixel_sdk_p2(open_sdk):
             block = [*le16(100), *le32(0), *le32(0), *le32(0), *le32(2300)]
             assert write.addParam(id, block)
         assert write.txPacket() == dxl.COMM_SUCCESS
-        read = dxl.GroupSyncRead(port, packets, 116, 4)
+        reader = dxl.GroupSyncRead(port, packets, 116, 4)
         for id in IDS:
-            assert read.addParam(id)
-        for transfer in (read.txRxPacket, read.fastSyncRead):
+            assert reader.addParam(id)
+        for transfer in (reader.txRxPacket, reader.fastSyncRead):
             assert transfer() == dxl.COMM_SUCCESS
-            assert [read.getData(id, 116, 4) for id in IDS] == [2300] * 3
+            assert [reader.getData(id, 116, 4) for id in IDS] == [2300] * 3
         bulk = dxl.GroupBulkRead(port, packets)
         assert bulk.addParam(1, 144, 2)
         assert bulk.addParam(2, 146, 1)
@@ -147,9 +147,9 @@ def test_dynamixel_sdk_p2(open_sdk):
 def test_dynamixel_sdk_p2_broadcast_ping(open_sdk):
     with bus("XL430-W250") as emulator:
         port, packets = open_sdk(dxl, emulator.port), dxl.PacketHandler(2.0)
-        found, result = packets.broadcastPing(port)
+        servos, result = packets.broadcastPing(port)
         assert result == dxl.COMM_SUCCESS
-        assert found == {id: [1060, 46] for id in IDS}
+        assert servos == {id: [1060, 46] for id in IDS}
 
 
 def test_feetech_sdk(open_sdk):
@@ -162,12 +162,12 @@ def test_feetech_sdk(open_sdk):
         for id in IDS:
             assert write.addParam(id, [*le16(2200), 0, 0, 0, 0, *le16(300)])
         assert write.txPacket() == scs.COMM_SUCCESS
-        read = scs.GroupSyncRead(port, packets, 42, 8)
+        reader = scs.GroupSyncRead(port, packets, 42, 8)
         for id in IDS:
-            assert read.addParam(id)
-        assert read.txRxPacket() == scs.COMM_SUCCESS
-        assert [read.getData(id, 42, 2) for id in IDS] == [2200] * 3
-        assert [read.getData(id, 48, 2) for id in IDS] == [300] * 3
+            assert reader.addParam(id)
+        assert reader.txRxPacket() == scs.COMM_SUCCESS
+        assert [reader.getData(id, 42, 2) for id in IDS] == [2200] * 3
+        assert [reader.getData(id, 48, 2) for id in IDS] == [300] * 3
 
 
 def test_a_stale_answer_reaches_a_driver_that_retries_at_once():

@@ -85,11 +85,11 @@ def test_the_clock_of_steps_includes_all_writes_and_stops_on_time():
 
 def test_threads_that_wait_at_once_leave_nothing_on_the_wires(monkeypatch):
     devices = [Device("STS3215", 1, port="left"), Device("STS3215", 1, port="right")]
-    heard, feed = [], SerialLine.feed
+    received, feed = [], SerialLine.feed
 
-    def listening(line, data, *rest):
-        heard.append(data)
-        return feed(line, data, *rest)
+    def listening(line, data, *arguments):
+        received.append(data)
+        return feed(line, data, *arguments)
 
     monkeypatch.setattr(SerialLine, "feed", listening)
     with Emulator(devices, clock="steps") as emulator, ThreadPoolExecutor(4) as threads:
@@ -101,11 +101,11 @@ def test_threads_that_wait_at_once_leave_nothing_on_the_wires(monkeypatch):
                     emulator.sync()
                     assert host.ask(p1(1, 1), 6) == p1(1, 0)
 
-            for done in [threads.submit(ask, host) for host in (left, right)]:
-                done.result()
-            for done in [threads.submit(emulator.sync) for _ in range(100)]:
-                done.result()
-    assert b"".join(heard) == p1(1, 1) * 100
+            for future in [threads.submit(ask, host) for host in (left, right)]:
+                future.result()
+            for future in [threads.submit(emulator.sync) for _ in range(100)]:
+                future.result()
+    assert b"".join(received) == p1(1, 1) * 100
 
 
 def test_real_time_moves_servos_by_itself():
@@ -194,11 +194,11 @@ def test_two_ports_share_a_clock():
 
 def test_log_is_bounded_and_decodes():
     with sts(log=10) as emulator, Host(emulator.port) as host:
-        records = []
-        emulator.log.watch = records.append
+        lengths = []
+        emulator.log.watch = lengths.append
         for _ in range(30):
             host.ask(p1(1, 1), 6)
-        assert (len(emulator.log), emulator.log.count, len(records)) == (10, 30, 30)
+        assert (len(emulator.log), emulator.log.count, len(lengths)) == (10, 30, 30)
         host.ask(p1(1, 3, 48, *le16(300)), 6)
         host.ask(p1(1, 3, 42, *le16(2048)), 6)
         host.ask(p1(1, 3, 40, 1), 6)

@@ -50,18 +50,18 @@ def test_late_answers_come_before_the_next_one():
 
 def test_corrupt_truncate_noise():
     line, faults = bus()
-    good = ask(line, p1(1, 2, 56, 2))
+    intact = ask(line, p1(1, 2, 56, 2))
     faults.inject("corrupt", 1)
-    bad = ask(line, p1(1, 2, 56, 2))
-    assert sum(bin(a ^ b).count("1") for a, b in zip(good, bad, strict=True)) == 1
+    damaged = ask(line, p1(1, 2, 56, 2))
+    assert sum(bin(a ^ b).count("1") for a, b in zip(intact, damaged, strict=True)) == 1
     faults.inject("truncate", 1)
     short = ask(line, p1(1, 2, 56, 2))
-    assert 0 < len(short) < len(good)
-    assert good.startswith(short)
+    assert 0 < len(short) < len(intact)
+    assert intact.startswith(short)
     faults.inject("noise", 1)
     noisy = ask(line, p1(1, 2, 56, 2))
-    assert noisy.endswith(good)
-    assert len(noisy) > len(good)
+    assert noisy.endswith(intact)
+    assert len(noisy) > len(intact)
 
 
 def test_wrong_id_has_a_checksum_that_fits():
@@ -82,9 +82,9 @@ def test_chance_is_seeded_and_has_its_share():
         line, _ = bus(lose=0.05, corrupt=0.05)
         return [bytes(ask(line, READ_ALL)) for _ in range(1000)], line.log.faulty
 
-    (one, struck), (other, _) = run(), run()
-    assert one == other
-    assert 70 < struck < 130
+    (first, faults), (second, _) = run(), run()
+    assert first == second
+    assert 70 < faults < 130
 
 
 def test_chance_can_be_set_while_it_runs():

@@ -26,12 +26,14 @@ def so101():
     )
 
 
-def moved(own, motion, seconds, every=0.1):
+def moved(arm_config, motion, seconds, interval=0.1):
     """Return joint positions (N, 6) [rad], and the positions that the servos report [counts]."""
-    with make_emulator(own, clock="steps", hand=JointHand(_motion(motion, own))) as bus:
+    with make_emulator(
+        arm_config, clock="steps", hand=JointHand(_motion(motion, arm_config))
+    ) as bus:
         joints, reported = [], []
-        for _ in range(round(seconds / every)):
-            bus.world.advance(every)
+        for _ in range(round(seconds / interval)):
+            bus.world.advance(interval)
             joints.append([float(bus.plant.mj_data.joint(name).qpos[0]) for name in NAMES])
             reported.append(counts(bus))
         return np.array(joints), np.array(reported)
@@ -42,8 +44,8 @@ def test_a_wave_moves_every_joint_of_a_limp_arm_and_its_servos_report_it(so101):
     joints, reported = moved(so101, "wave", 12.0)
     assert np.ptp(joints, axis=0).min() > 0.4
     assert np.abs(joints[40:, :5]).max() < 0.35
-    turned = np.ptp(reported, axis=0) * 2.0 * np.pi / 4096
-    np.testing.assert_allclose(turned, np.ptp(joints, axis=0), atol=0.01)
+    ranges = np.ptp(reported, axis=0) * 2.0 * np.pi / 4096
+    np.testing.assert_allclose(ranges, np.ptp(joints, axis=0), atol=0.01)
 
 
 @pytest.mark.slow
@@ -84,7 +86,7 @@ def test_a_servo_with_torque_resists_the_hand(so101):
         largest = {"shoulder_lift": 0.0, "elbow_flex": 0.0}
         for _ in range(80):
             bus.world.advance(0.1)
-            for name, most in largest.items():
-                here = float(bus.plant.mj_data.joint(name).qpos[0])
-                largest[name] = max(most, abs(here - start))
+            for name, largest_angle in largest.items():
+                angle = float(bus.plant.mj_data.joint(name).qpos[0])
+                largest[name] = max(largest_angle, abs(angle - start))
     assert largest["shoulder_lift"] < 0.7 * largest["elbow_flex"]

@@ -11,10 +11,10 @@ from pliant.emulator.packets import crc16, stuff, unstuff
 def line(*devices, **values):
     """Return a serial line with servos; `values` are registers of the first servo."""
     servos = [device.build(1_000_000) for device in devices]
-    made = SerialLine(servos)
+    serial_line = SerialLine(servos)
     for name, value in values.items():
         servos[0].put(name, value)
-    return made
+    return serial_line
 
 
 def exchange(made, request):

@@ -15,7 +15,7 @@ from pliant.sim import drive
 
 ROOT = Path(__file__).resolve().parents[2] / "integrations" / "lerobot"
 STANDIN = Path(__file__).parent / "standin"
-OURS = ("lerobot", "draccus", "lerobot_robot_pliant", "lerobot_teleoperator_wave")
+PACKAGES = ("lerobot", "draccus", "lerobot_robot_pliant", "lerobot_teleoperator_wave")
 
 
 @pytest.fixture(scope="session")
@@ -36,7 +36,7 @@ def plugin(tmp_path_factory):
             plugin = importlib.import_module("lerobot_robot_pliant")
             importlib.import_module("lerobot_teleoperator_wave")
         yield plugin
-        for name in [name for name in sys.modules if name.partition(".")[0] in OURS]:
+        for name in [name for name in sys.modules if name.partition(".")[0] in PACKAGES]:
             del sys.modules[name]
 
 

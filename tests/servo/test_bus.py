@@ -43,13 +43,13 @@ def test_limits_on_the_wire_are_what_was_asked(emulated, enabled, kind):
             chain.read()
             bus.sync()
             for i, servo in enumerate(bus.servos):
-                asked = min(share, 1.0) * largest[i]
+                expected = min(share, 1.0) * largest[i]
                 name = {"sts": "torque_limit", "xm": "goal_current", "xl430": "goal_pwm"}
                 register = servo.get(name.get(kind, "torque_limit"))
                 full = {"sts": 1000, "xm": 1193, "xl430": 885}.get(kind, 1023)
                 unit = 4.1 / 2.3 * 0.00269 if kind == "xm" else largest[i] / full
                 assert register <= full
-                assert asked - 1.001 * unit <= register * unit <= asked * (1 + 1e-9)
+                assert expected - 1.001 * unit <= register * unit <= expected * (1 + 1e-9)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -93,7 +93,7 @@ def test_no_goal_while_disabled(emulated, enabled, kind):
 
 @pytest.mark.parametrize("kind", ["sts", "xm"])
 @pytest.mark.parametrize(
-    ("bad", "message"),
+    ("value", "message"),
     [
         (([np.nan, 0.0], [0.5, 0.5]), "goal of joint0 is not finite"),
         (([0.0, 0.0], [np.inf, 0.5]), "limit of joint0 is not finite"),
@@ -101,15 +101,15 @@ def test_no_goal_while_disabled(emulated, enabled, kind):
         (([0.0, 0.0], [0.5, 0.5], [np.nan, 1.0]), "velocity of joint0 is not a number"),
     ],
 )
-def test_numbers_of_a_disabled_joint_are_validated_too(emulated, enabled, kind, bad, message):
+def test_numbers_of_a_disabled_joint_are_validated_too(emulated, enabled, kind, value, message):
     with emulated(kind, 2, clock="steps") as (bus, chain):
-        for disabled in (chain.names, ["joint0"]):
+        for names in (chain.names, ["joint0"]):
             enabled(chain)
-            chain.disable(disabled)
+            chain.disable(names)
             chain.read()
             before = bus.log.count
             with pytest.raises(ConfigError, match=message):
-                chain.write(*bad)
+                chain.write(*value)
             assert bus.log.count == before
 
 
@@ -158,9 +158,9 @@ def test_sign_gear_and_zero(emulated, enabled):
         expected = -(raw - 1500.0) * servo.model.count / 2.0
         assert chain.read().position[0] == pytest.approx(expected, abs=2e-3)
         limit = enabled(chain)
-        moved = settle(bus, chain, [expected + 0.2], limit)
+        motion = settle(bus, chain, [expected + 0.2], limit)
         assert servo.shaft.angle / servo.model.count < raw - 200
-        assert moved.position[0] == pytest.approx(expected + 0.2, abs=0.05)
+        assert motion.position[0] == pytest.approx(expected + 0.2, abs=0.05)
 
 
 @pytest.mark.parametrize("bad", [[np.nan], [np.inf], [0.1, 0.2], [-1.0]])

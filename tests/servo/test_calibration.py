@@ -24,18 +24,18 @@ def lerobot_file(folder, **changes):
     return file
 
 
-def opened(name, folder, **wrong):
+def opened(name, folder, **changes):
     """Open the calibrated arm of a built-in file with a calibration file changed by `wrong`."""
-    good = config.load(name, backend="emulator", calibration=lerobot_file(folder))
-    theirs = config.load(name, backend="emulator", calibration=lerobot_file(folder, **wrong))
-    with make_emulator(good, clock="steps") as bus:
+    matching = config.load(name, backend="emulator", calibration=lerobot_file(folder))
+    changed = config.load(name, backend="emulator", calibration=lerobot_file(folder, **changes))
+    with make_emulator(matching, clock="steps") as bus:
         before = bus.log.order(1)
         chain = ServoBus(
-            factory.servo_specs(theirs, bus.ports), reply_timeout_min=0.5, clock=ManualClock(bus)
+            factory.servo_specs(changed, bus.ports), reply_timeout_min=0.5, clock=ManualClock(bus)
         )
         try:
             chain.open()
-            return [note for found in chain.found for note in found.notes], chain
+            return [note for servo in chain.found for note in servo.notes], chain
         finally:
             chain.close()
             assert bus.log.order(1) == before, "nothing was written"
@@ -67,18 +67,18 @@ def test_a_file_of_another_arm_is_refused_with_the_angle(name, entry, message, t
 
 
 def test_every_joint_that_differs_is_named(tmp_path):
-    moved = {joint: {"homing_offset": 900} for joint in JOINTS}
+    changes = {joint: {"homing_offset": 900} for joint in JOINTS}
     with pytest.raises(pliant.ServoError) as error:
-        opened("so101", tmp_path, **moved)
+        opened("so101", tmp_path, **changes)
     for joint in JOINTS:
         assert f"{joint} (id" in str(error.value)
 
 
 def test_a_direction_that_the_servo_has_not_is_refused_and_one_of_lerobots_own_is_said(tmp_path):
-    turned = {"wrist_flex": {"drive_mode": 1}}
+    changes = {"wrist_flex": {"drive_mode": 1}}
     with pytest.raises(pliant.ServoError, match=r"drive_mode 1, the servo 0: it counts in"):
-        opened("koch", tmp_path, **turned)
-    notes, _ = opened("so101", tmp_path, **turned)
+        opened("koch", tmp_path, **changes)
+    notes, _ = opened("so101", tmp_path, **changes)
     assert len([note for note in notes if "drive_mode 1" in note and "`sign`" in note]) == 1
 
 
@@ -95,23 +95,23 @@ def test_a_joint_with_a_zero_of_its_own_needs_no_file(tmp_path):
 
 
 def test_doctor_reports_each_joint(tmp_path, monkeypatch):
-    bare = config.load("so101", backend="emulator")
+    uncalibrated = config.load("so101", backend="emulator")
     arm_config = config.load("so101", calibration=lerobot_file(tmp_path))
-    with emulate(bare.model(), make_mounts(bare), [0.0] * 5, held=True) as bus:
+    with emulate(uncalibrated.model(), make_mounts(uncalibrated), [0.0] * 5, held=True) as bus:
         wired = config.load("so101", calibration=arm_config.calibration, port=bus.ports["main"])
-        bad = [finding.text for finding in examine(wired) if finding.level == "bad"]
-    said = [text for text in bad if "homing_offset" in text]
+        problems = [finding.text for finding in examine(wired) if finding.level == "bad"]
+    offsets = [text for text in problems if "homing_offset" in text]
     # One error per joint, except the third, whose offset in the file is 0 as in a new servo.
-    assert len(said) == 5
-    assert any("shoulder_pan" in text and "off by 17.6°" in text for text in said)
+    assert len(offsets) == 5
+    assert any("shoulder_pan" in text and "off by 17.6°" in text for text in offsets)
 
 
 @pytest.mark.parametrize(("sign", "closed"), [(1, 2000), (-1, 3100)])
 def test_a_calibrated_gripper_closes_at_the_end_of_its_range(sign, closed, tmp_path):
-    ready = (Path(config.__file__).parent / "arms" / "so101.toml").read_text("utf-8")
-    turned = ready.replace("id = 6, gain = 16 }", f"id = 6, gain = 16, sign = {sign} }}")
+    text = (Path(config.__file__).parent / "arms" / "so101.toml").read_text("utf-8")
+    changed_text = text.replace("id = 6, gain = 16 }", f"id = 6, gain = 16, sign = {sign} }}")
     file = tmp_path / "arm.toml"
-    file.write_text(turned, "utf-8")
+    file.write_text(changed_text, "utf-8")
     calibration = lerobot_file(tmp_path, gripper={"range_min": 2000, "range_max": 3100})
     arm_config = config.load(file, backend="emulator", calibration=calibration)
     (jaw,) = factory.gripper_configs(arm_config).values()

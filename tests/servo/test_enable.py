@@ -10,7 +10,7 @@ from tests.servo.conftest import JOINTS, devices
 
 KINDS = ["sts", "xm", "xl430", "ex", "rx", "mx"]
 #: Distance between old goals and present positions [counts], 44° with 4096 counts per turn.
-OFF = 500
+GOAL_ERROR = 500
 
 
 def chain_on(bus, kind, n, patience=0.005):
@@ -23,7 +23,7 @@ def chain_on(bus, kind, n, patience=0.005):
     return ServoBus(specs, reply_timeout_min=patience, clock=ManualClock(bus))
 
 
-def strike(bus, fault, place):
+def strike(bus, fault, index):
     """Apply `fault` to the request number `place`, counted from 1; return the request count.
 
     The count is a list of one number, which grows with each request.
@@ -32,27 +32,27 @@ def strike(bus, fault, place):
 
     def chance():
         count[0] += 1
-        return fault if count[0] == place else None
+        return fault if count[0] == index else None
 
     line.faults.chance = chance
     return count
 
 
-def enable_with_old_goals(kind, fault, place):
+def enable_with_old_goals(kind, fault, index):
     """Enable servos that have old goals; return their largest motion [rad] and request count.
 
     The motion is measured until one second after torque on.
     """
     with Emulator(devices(kind, 2), clock="steps") as bus, chain_on(bus, kind, 2) as chain:
         for servo in bus.servos:
-            servo.put("goal_position", servo.position - OFF if kind != "rx" else 100)
+            servo.put("goal_position", servo.position - GOAL_ERROR if kind != "rx" else 100)
             speeds = {"moving_speed", "profile_velocity", "goal_velocity"}
             for name in speeds & {register.name for register in servo.table}:
                 servo.put(name, 0)
         start = np.array([servo.shaft.angle for servo in bus.servos])
         goal = chain.read().position
-        count = strike(bus, fault, place)
-        ways = []
+        count = strike(bus, fault, index)
+        distances = []
         try:
             chain.enable(goal, 0.5 * chain.servos.max_torque)
         except ServoError:
@@ -60,11 +60,11 @@ def enable_with_old_goals(kind, fault, place):
         requests = count[0]
         for _ in range(10):
             bus.advance(0.02)
-            ways.append(
+            distances.append(
                 max(abs(servo.shaft.angle - start[i]) for i, servo in enumerate(bus.servos))
             )
         assert not bus.log.eeprom_writes()
-        return max(ways), requests
+        return max(distances), requests
 
 
 @pytest.mark.parametrize("fault", ["deaf", pytest.param("lose", marks=pytest.mark.full)])
@@ -73,8 +73,8 @@ def test_no_single_lost_packet_switches_torque_on_with_an_old_goal(kind, fault):
     _, requests = enable_with_old_goals(kind, fault, 0)
     assert requests > 10
     for index in range(1, requests + 1):
-        way, _ = enable_with_old_goals(kind, fault, index)
-        assert way < 0.005, f"request {index} of {requests}"
+        distance, _ = enable_with_old_goals(kind, fault, index)
+        assert distance < 0.005, f"request {index} of {requests}"
 
 
 @pytest.mark.parametrize("kind", ["sts", "xm", "mx"])
@@ -124,8 +124,8 @@ def registers(servo):
         "bus_watchdog", "cw_compliance_margin", "ccw_compliance_margin", "ccw_compliance_slope",
         "punch",
     ]  # fmt: skip
-    there = {register.name for register in servo.table}
-    return {name: servo.get(name) for name in names if name in there}
+    available = {register.name for register in servo.table}
+    return {name: servo.get(name) for name in names if name in available}
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -209,7 +209,7 @@ def test_compliance_that_another_program_left_does_not_weaken_a_servo(
     emulated, enabled, kind, punch
 ):
     """With a compliance margin of 200 counts, a servo would let its joint sag."""
-    left = {
+    registers_left = {
         "cw_compliance_margin": 200,
         "ccw_compliance_margin": 150,
         "ccw_compliance_slope": 254,
@@ -217,16 +217,21 @@ def test_compliance_that_another_program_left_does_not_weaken_a_servo(
     }
     with emulated(kind, 1, clock="steps", is_open=False) as (bus, chain):
         (servo,) = bus.servos
-        for name, value in left.items():
+        for name, value in registers_left.items():
             servo.put(name, value)
         chain.open()
         enabled(chain, share=1.0)
         bus.sync()
         assert servo.drive().dead == servo.model.count
-        assert [servo.get(name) for name in left] == [1, 1, servo.get("cw_compliance_slope"), punch]
+        assert [servo.get(name) for name in registers_left] == [
+            1,
+            1,
+            servo.get("cw_compliance_slope"),
+            punch,
+        ]
         chain.disable()
         bus.sync()
-        assert {name: servo.get(name) for name in left} == left
+        assert {name: servo.get(name) for name in registers_left} == registers_left
 
 
 def test_a_pwm_limit_bounds_the_torque_that_is_reported():
@@ -242,12 +247,12 @@ def test_a_pwm_limit_bounds_the_torque_that_is_reported():
         assert ceiling == pytest.approx(chain.servos.max_torque[0], rel=0.01)
 
 
-@pytest.mark.parametrize("trouble", ["hum", "echo"])
+@pytest.mark.parametrize("disturbance", ["hum", "echo"])
 @pytest.mark.parametrize("kind", ["sts", "xm", "mx"])
-def test_torque_goes_off_on_a_line_that_is_never_silent(enabled, kind, trouble):
+def test_torque_goes_off_on_a_line_that_is_never_silent(enabled, kind, disturbance):
     with Emulator(devices(kind, 3), clock="steps") as bus, chain_on(bus, kind, 3, 0.01) as chain:
         enabled(chain)
-        getattr(bus, trouble)()
+        getattr(bus, disturbance)()
         # The error says that torque off is not confirmed; with an echo there may be none.
         failed = False
         try:
@@ -260,29 +265,29 @@ def test_torque_goes_off_on_a_line_that_is_never_silent(enabled, kind, trouble):
         assert chain.torque_unknown.any() is np.bool_(failed)
         assert np.array_equal(chain.enabled, chain.torque_unknown)
         assert (chain.unrestored | ~chain.torque_unknown).all()
-        getattr(bus, trouble)(False)
+        getattr(bus, disturbance)(False)
         chain.disable()
         assert not (chain.enabled | chain.torque_unknown | chain.unrestored).any()
 
 
-@pytest.mark.parametrize("trouble", ["hum", "echo"])
+@pytest.mark.parametrize("disturbance", ["hum", "echo"])
 @pytest.mark.parametrize("kind", ["sts", "xm", "mx"])
-def test_a_line_that_is_never_silent_is_reported_at_open(kind, trouble):
+def test_a_line_that_is_never_silent_is_reported_at_open(kind, disturbance):
     # Noise comes every 5 ms, and a fifth of the reply timeout without it counts as silence.
     with Emulator(devices(kind, 3), clock="steps") as bus, chain_on(bus, kind, 3, 0.05) as chain:
         chain.close()
-        getattr(bus, trouble)()
+        getattr(bus, disturbance)()
         with pytest.raises(ServoError, match=r"never silent|echo") as error:
             chain.open()
         assert "id of its own" not in str(error.value)
         assert "Two servos on one id" not in str(error.value)
-        getattr(bus, trouble)(False)
+        getattr(bus, disturbance)(False)
         chain.open()
         assert chain.read().ok.all()
 
 
 @pytest.mark.parametrize(
-    ("kind", "number", "stays"),
+    ("kind", "number", "expected"),
     [
         ("xm", 1, [True, False]),
         ("xm", 2, [True, True]),
@@ -291,7 +296,7 @@ def test_a_line_that_is_never_silent_is_reported_at_open(kind, trouble):
     ],
 )
 def test_a_signal_while_torque_comes_on_does_not_drop_an_arm_that_hangs_on_it(
-    kind, number, stays, monkeypatch
+    kind, number, expected, monkeypatch
 ):
     """The signal comes after joint `number` got torque; number 3: while motion is checked."""
     original, count = _enable._set, 0
@@ -312,6 +317,6 @@ def test_a_signal_while_torque_comes_on_does_not_drop_an_arm_that_hangs_on_it(
     with Emulator(devices(kind, 2), clock="steps") as bus, chain_on(bus, kind, 2) as chain:
         with pytest.raises((KeyboardInterrupt, SystemExit)):
             chain.enable(chain.read().position, 0.5 * chain.servos.max_torque)
-        assert [servo.enabled for servo in bus.servos] == stays
+        assert [servo.enabled for servo in bus.servos] == expected
         chain.disable()
         assert not any(servo.enabled for servo in bus.servos)

@@ -47,16 +47,16 @@ def test_one_fault_costs_a_retry_and_no_sample(emulated, enabled, kind, fault):
 def test_late_answers_are_never_taken_for_new_ones(emulated, enabled, kind):
     with emulated(kind, 3, clock="steps") as (bus, chain):
         limit = enabled(chain)
-        worst, good = 0.0, 0
+        worst, valid = 0.0, 0
         for k, (sample, truth) in enumerate(sweep(bus, chain, limit, 60)):
             if sample.ok.any():
                 worst = max(worst, np.abs(sample.position - truth)[sample.ok].max())
-                good += 1
+                valid += 1
             if k % 4 == 1:
                 bus.faults.inject("late", 1 + k % 3, count=1 + k % 2)
         # A sample that is one tick old would be wrong by up to 0.8 * 3 * 0.01 = 0.024 rad.
         assert worst < 0.003
-        assert good > 40
+        assert valid > 40
         assert chain.counters["timeouts"] > 5
 
 
@@ -94,12 +94,12 @@ def test_a_servo_that_lost_its_torque_is_noticed(emulated, enabled):
             enabled(chain)
             bus.reboot(1)
             bus.advance(0.5)
-            found = []
+            faults = []
             for _ in range(30):
                 chain.read()
-                found += getattr(chain.poll_status(), "faults", ())
-            assert any("joint0: its torque went off by itself" in text for text in found)
-            assert not any("joint1" in text for text in found)
+                faults += getattr(chain.poll_status(), "faults", ())
+            assert any("joint0: its torque went off by itself" in text for text in faults)
+            assert not any("joint1" in text for text in faults)
 
 
 @pytest.mark.parametrize("kind", PROTOCOLS)
@@ -114,13 +114,13 @@ def test_torque_that_went_off_is_noticed_within_a_few_ticks(emulated, enabled, k
                 bus.advance(0.01)
             bus.servo(index).put("torque_enable", 0)
             bus.log.clear()
-            said = ""
+            message = ""
             # Protocol 1.0 and Feetech poll all servos within six ticks.
             for _ in range(4 if kind == "xm" else 6):
                 chain.read()
-                said += str(chain.poll_status())
+                message += str(chain.poll_status())
                 bus.advance(0.01)
-            assert f"joint{index - 1}: its torque went off" in said
+            assert f"joint{index - 1}: its torque went off" in message
             bus.servo(index).put("torque_enable", 1)
             enabled(chain)
 
@@ -138,16 +138,16 @@ def test_one_port_unplugged_leaves_the_other_to_be_brought_down(enabled):
         with ServoBus(specs, reply_timeout_min=0.1, clock=ManualClock(bus)) as chain:
             limit = enabled(chain)
             bus.pull("b")
-            found = []
+            faults = []
             for k in range(20):
                 sample = chain.read()
                 assert sample.ok.tolist() == [True, False, False]
                 chain.write(np.full(3, 0.01 * k), limit)
-                found += getattr(chain.poll_status(), "faults", ())
+                faults += getattr(chain.poll_status(), "faults", ())
                 bus.advance(0.01)
-            assert "joint1: its port" in str(found[:2])
-            moved = bus.servo(1).get("goal_position") - 2048
-            assert moved == round(0.19 / bus.servo(1).model.count)
+            assert "joint1: its port" in str(faults[:2])
+            motion = bus.servo(1).get("goal_position") - 2048
+            assert motion == round(0.19 / bus.servo(1).model.count)
             with pytest.raises(ServoError, match=r"torque may still be on: .*is gone"):
                 chain.disable()
             assert not bus.servo(1).enabled
@@ -162,11 +162,11 @@ def test_overload_comes_as_a_sentence(emulated, enabled):
         with emulated(kind, 2, clock="steps") as (bus, chain):
             limit = enabled(chain)
             bus.trip(2, "overload")
-            found = []
+            faults = []
             for _ in range(4):
                 chain.read()
-                found += getattr(chain.poll_status(), "faults", ())
-            assert any("joint1: overload" in text for text in found), kind
+                faults += getattr(chain.poll_status(), "faults", ())
+            assert any("joint1: overload" in text for text in faults), kind
             chain.write([0.0, 0.0], limit)
 
 
@@ -196,14 +196,14 @@ def test_a_limit_that_does_not_stick_is_reported(emulated, enabled):
     with emulated("sts", 2, clock="steps") as (bus, chain):
         limit = enabled(chain)
         bus.stick(1, "torque_limit", 1000)
-        found = []
+        faults = []
         for _ in range(70):
             chain.read()
             chain.write([0.0, 0.0], limit / 2)
-            found += getattr(chain.poll_status(), "faults", ())
+            faults += getattr(chain.poll_status(), "faults", ())
             bus.advance(0.01)
         message = "torque limit reads 1000 (1.91 N·m), written was 250 (0.478 N·m)"
-        assert any(message in text for text in found)
+        assert any(message in text for text in faults)
         assert chain.counters["mismatches"] >= 2
         # The servo accepts its goals, so it does not count as refusing.
         assert not chain.refusing.any()
@@ -215,31 +215,31 @@ def test_a_limit_that_does_not_stick_is_reported(emulated, enabled):
 def test_lost_writes_are_waited_for_as_long_as_lost_answers(emulated, enabled, kind):
     with emulated(kind, 2, clock="steps") as (bus, chain):
         limit = enabled(chain)
-        guard, deaf = chain._ports[0].guard, False
+        guard, is_deaf = chain._ports[0].guard, False
         write = guard.sync_write
-        guard.sync_write = lambda *packet: None if deaf else write(*packet)
+        guard.sync_write = lambda *packet: None if is_deaf else write(*packet)
 
         def run(ticks):
-            found = []
+            faults = []
             for k in range(ticks):
                 chain.read()
                 chain.write([0.003 * k, 0.003 * k], limit * (1.0 - 0.004 * k))
-                found = getattr(chain.poll_status(), "faults", found)
+                faults = getattr(chain.poll_status(), "faults", faults)
                 bus.advance(0.01)
-                yield found
+                yield faults
 
         assert not any(run(30))
-        deaf = True
+        is_deaf = True
         assert not any(run(30)), "300 ms of silence in this direction too"
-        deaf = False
+        is_deaf = False
         assert not any(run(60))
         assert not chain.refusing.any()
-        deaf = True
-        said = str(list(run(140)))
-        assert "goal reads" in said
-        assert "limit reads" in said
+        is_deaf = True
+        text = str(list(run(140)))
+        assert "goal reads" in text
+        assert "limit reads" in text
         assert chain.refusing.all()
-        deaf = False
+        is_deaf = False
         assert not list(run(60))[-1]
         assert not chain.refusing.any()
 
@@ -247,15 +247,15 @@ def test_lost_writes_are_waited_for_as_long_as_lost_answers(emulated, enabled, k
 def test_a_lost_packet_is_no_limit_refused(emulated, enabled):
     with emulated("xm", 2, clock="steps") as (bus, chain):
         limit = enabled(chain)
-        found = []
+        faults = []
         for k in range(40):
             chain.read()
             # No servo receives these two consecutive packets, which have different limits.
             if k in {20, 21}:
                 bus.faults.inject("deaf", 1)
             chain.write([0.0, 0.0], limit * (1.0 - 0.01 * k))
-            found += getattr(chain.poll_status(), "faults", ())
-        assert not found
+            faults += getattr(chain.poll_status(), "faults", ())
+        assert not faults
         assert chain.counters["mismatches"] <= 2
 
 
@@ -277,13 +277,13 @@ def test_a_supply_that_stays_too_low_is_a_fault(emulated, enabled):
         limit = enabled(chain)
 
         def faults(seconds):
-            found = []
+            messages = []
             for _ in range(round(seconds / 0.01)):
                 chain.read()
                 chain.write([0.0, 0.0], limit)
-                found += getattr(chain.poll_status(), "faults", ())
+                messages += getattr(chain.poll_status(), "faults", ())
                 bus.advance(0.01)
-            return found
+            return messages
 
         bus.supply(11.0)
         assert not faults(0.4)
@@ -334,17 +334,17 @@ def test_an_encoder_that_steps_is_a_fault_and_always_rejected(emulated, enabled,
         for _ in sweep(bus, chain, limit, 5, speed=0.0):
             pass
         before = chain.read().position[0]
-        place = bus.servos[0].position + round(step / bus.servos[0].model.count)
-        bus.stick(1, "present_position", place)
-        said = []
+        position = bus.servos[0].position + round(step / bus.servos[0].model.count)
+        bus.stick(1, "present_position", position)
+        messages = []
         for _ in range(300):
             sample = chain.read()
             assert not sample.ok[0]
             assert sample.position[0] == before
             chain.write([0.0, 0.0], limit)
-            said.append(getattr(chain.poll_status(), "faults", ()))
+            messages.append(getattr(chain.poll_status(), "faults", ()))
             bus.advance(0.01)
-        assert "joint0: its position jumped by" in str(said[:10])
+        assert "joint0: its position jumped by" in str(messages[:10])
         # Without torque, the joint may be moved to any position.
         chain.disable()
         assert chain.read().ok.all()
@@ -439,10 +439,10 @@ def test_chance_faults_never_give_a_stale_sample(emulated, enabled):
         limit = enabled(chain)
         noisy = Faults(seed=3, lose=0.01, corrupt=0.02, late=0.03, noise=0.01, truncate=0.01)
         faults._shares = noisy._shares
-        answered = 0
+        replies = 0
         for sample, truth in sweep(bus, chain, limit, 150):
             error = np.abs(sample.position - truth)[sample.ok]
-            answered += sample.ok.sum()
+            replies += sample.ok.sum()
             assert error.size == 0 or error.max() < 0.003
-        assert answered > 0.98 * 150 * 6
+        assert replies > 0.98 * 150 * 6
         assert chain.counters["retries"] > 5

@@ -63,12 +63,12 @@ def test_nothing_is_asked_before_a_noisy_line_is_silent(fake_bus):
     guard.start_cycle(0.03)
     with pytest.raises(BusError):
         guard.read(1, SHORT)
-    sent = len(requests(bus))
+    count = len(requests(bus))
     guard.start_cycle(0.03)
     with pytest.raises(BusError) as error:
         guard.read(1, SHORT)
     assert error.value.reason == "late"
-    assert len(requests(bus)) == sent == 1
+    assert len(requests(bus)) == count == 1
     bus.late = 0
     guard.start_cycle(0.03)
     assert guard.read(1, SHORT, LONG).status == 0

@@ -12,7 +12,7 @@ MODELS = {"xl": "XL430-W250", "sts": "STS3215", "mx": "MX-64"}
 
 
 def found(bus, baud):
-    return [(seen.id, seen.note) for seen in scan(bus.port, baudrates=(baud,), ids=range(12))]
+    return [(servo.id, servo.note) for servo in scan(bus.port, baudrates=(baud,), ids=range(12))]
 
 
 def answers(kind, ids, delay=250):
@@ -53,10 +53,10 @@ def test_two_servos_on_one_id_are_distinguished_from_a_line_that_corrupts_replie
         assert all("adapter" in note for note in notes)
 
 
-@pytest.mark.parametrize("trouble", ["hum", "echo"])
+@pytest.mark.parametrize("disturbance", ["hum", "echo"])
 @pytest.mark.parametrize("kind", ["sts", "xl"])
-def test_a_line_that_is_never_silent_is_reported(kind, trouble):
+def test_a_line_that_is_never_silent_is_reported(kind, disturbance):
     with Emulator(answers(kind, [1, 2])) as bus:
-        getattr(bus, trouble)()
+        getattr(bus, disturbance)()
         with pytest.raises(ServoError, match="never silent"):
             scan(bus.port, baudrates=(1_000_000,), ids=range(3))

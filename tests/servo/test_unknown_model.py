@@ -27,7 +27,7 @@ elbow_flex = {{ model = "XL430-W250", id = 3{more} }}
 wrist_flex = {{ model = "XL430-W250", id = 4{more} }}
 wrist_roll = {{ model = "XL430-W250", id = 5{more} }}
 """
-OWN = f", model_number = {NUMBER}, stall = 2.8, no_load = 70.0, voltage = [9.0, 15.0]"
+MODEL_FIELDS = f", model_number = {NUMBER}, stall = 2.8, no_load = 70.0, voltage = [9.0, 15.0]"
 
 
 @pytest.fixture
@@ -49,7 +49,7 @@ def test_the_error_names_the_number_and_the_line_that_mends_it(bus):
 
 
 def test_the_values_of_the_file_replace_those_of_the_model(bus):
-    arm_config = config.parse(TOML.format(port=bus.port, more=OWN))
+    arm_config = config.parse(TOML.format(port=bus.port, more=MODEL_FIELDS))
     assert arm_config.model().servos.max_torque == pytest.approx(2.8)
     with factory.make_bus(arm_config, {"main": bus.port}) as chain:
         spec = chain.specs[0]
@@ -67,7 +67,7 @@ def test_the_values_of_the_file_replace_those_of_the_model(bus):
 
 def test_its_eeprom_is_set_up_and_restored(bus, tmp_path, capsys):
     file, backup = tmp_path / "arm.toml", tmp_path / "old.json"
-    file.write_text(TOML.format(port=bus.port, more=OWN))
+    file.write_text(TOML.format(port=bus.port, more=MODEL_FIELDS))
     assert main(["servos", "setup", str(file), "--backup", str(backup), "--yes"]) == 0
     assert json.loads(backup.read_text())["changes"]
     assert main(["servos", "setup", str(file), "--undo", str(backup), "--yes"]) == 0
@@ -76,7 +76,7 @@ def test_its_eeprom_is_set_up_and_restored(bus, tmp_path, capsys):
 
 
 def test_the_emulator_answers_with_the_number_of_the_file():
-    text = TOML.format(port="auto", more=OWN)
+    text = TOML.format(port="auto", more=MODEL_FIELDS)
     with factory.make_emulator(config.parse(text, backend="emulator"), clock="steps") as emulated:
         arm_config = config.parse(text, port=emulated.port)
         with factory.make_bus(arm_config, {"main": emulated.port}) as chain:
