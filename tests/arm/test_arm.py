@@ -178,14 +178,14 @@ def test_joints_that_do_not_answer_are_named_before_torque_goes_on(make):
     assert not arm.enabled
 
 
-@pytest.mark.parametrize(("direction", "starts"), [(0.05, True), (-0.05, True), (0.5, False)])
-def test_a_joint_measured_outside_its_limits_gets_no_torque(make, grasp, direction, starts):
+@pytest.mark.parametrize(("direction", "is_accepted"), [(0.05, True), (-0.05, True), (0.5, False)])
+def test_a_joint_measured_outside_its_limits_gets_no_torque(make, grasp, direction, is_accepted):
     arm = make()
-    read, model = arm.drive.read, arm.model
+    original, model = arm.drive.read, arm.model
     low, high = model.lower[3], model.upper[3]
 
     def misplaced():
-        sample = read()
+        sample = original()
         sample.position[3] = high + direction if direction > 0.0 else low + direction
         return sample
 
@@ -193,7 +193,7 @@ def test_a_joint_measured_outside_its_limits_gets_no_torque(make, grasp, directi
     assert arm.drive.read().position[3] != pytest.approx(
         arm.drive.plant.q[3], abs=abs(direction) / 2
     )
-    if starts:  # a joint on its stop
+    if is_accepted:  # a joint on its stop
         arm.enable()
         assert arm.read().q[3] == (high if direction > 0.0 else low) + direction
         arm.disable_torque()
@@ -281,7 +281,7 @@ def test_connect_by_name_and_by_parts():
     assert (arm.model.n, arm.rate, arm.clock.period) == (5, 200.0, 0.005)
     assert pliant.connect("so101", backend="sim", rate=50.0).rate == 50.0
     assert pliant.Arm(arm.model, arm.drive).drive is arm.drive
-    for wrong, message in (
+    for arguments, message in (
         (lambda: pliant.connect({"kind": "bus"}), "cannot connect to"),
         (lambda: pliant.connect("arm.toml"), "no file arm.toml"),
         (lambda: pliant.connect("so102"), "did you mean 'so101'"),
@@ -292,11 +292,11 @@ def test_connect_by_name_and_by_parts():
         ),
     ):
         with pytest.raises(pliant.ConfigError, match=message):
-            wrong()
+            arguments()
 
 
 def test_a_misspelt_option_is_named_before_a_port_is_looked_for():
-    for wrong, near in (
+    for option, suggestion in (
         (lambda: pliant.connect("so101", backned="sim"), "'backned' here; did you mean 'backend'"),
         (lambda: pliant.connect("so101", on_exti="leave_enabled"), "did you mean 'on_exit'"),
         (
@@ -305,8 +305,8 @@ def test_a_misspelt_option_is_named_before_a_port_is_looked_for():
         ),
         (lambda: pliant.connect("so101", q=[0.0] * 5), "'q' is an option of a simulated arm"),
     ):
-        with pytest.raises(pliant.ConfigError, match=near):
-            wrong()
+        with pytest.raises(pliant.ConfigError, match=suggestion):
+            option()
 
 
 def test_degrees_are_refused_before_anything_is_sent():

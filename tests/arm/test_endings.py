@@ -81,24 +81,24 @@ def reader(kind):
         with open("/dev/full", "w", encoding="utf-8") as file:
             yield file
         return
-    get, put = os.pipe()
+    read_end, write_end = os.pipe()
     if kind == "gone":
-        os.close(get)
+        os.close(read_end)
     else:
-        os.set_blocking(put, False)
+        os.set_blocking(write_end, False)
         with contextlib.suppress(BlockingIOError):
             while True:
-                os.write(put, bytes(4096))
+                os.write(write_end, bytes(4096))
         with contextlib.suppress(BlockingIOError):
             while True:
-                os.write(put, bytes(1))
-        os.set_blocking(put, True)
+                os.write(write_end, bytes(1))
+        os.set_blocking(write_end, True)
     try:
-        yield put
+        yield write_end
     finally:
-        os.close(put)
+        os.close(write_end)
         if kind != "gone":
-            os.close(get)
+            os.close(read_end)
 
 
 DEAD = ["gone", pytest.param("full", marks=pytest.mark.full), "blocked"]
@@ -273,7 +273,7 @@ def test_endings_are_logged_where_the_program_configures_logging():
 
 
 @pytest.mark.parametrize(
-    ("silence", "spoken"),
+    ("silence", "is_printed"),
     [
         ("", True),
         ("logging.getLogger('pliant').addHandler(logging.NullHandler())", False),
@@ -281,7 +281,7 @@ def test_endings_are_logged_where_the_program_configures_logging():
         ("logging.disable(logging.CRITICAL)", False),
     ],
 )
-def test_silence_is_had_by_the_means_of_logging(silence, spoken):
+def test_silence_is_had_by_the_means_of_logging(silence, is_printed):
     stdout, stderr, _ = run(f"""
         import logging
         {silence}
@@ -296,7 +296,7 @@ def test_silence_is_had_by_the_means_of_logging(silence, spoken):
     """)
     assert stdout == ["quiet", "torque", "off", "down"]
     lines = stderr.splitlines()
-    if spoken:
+    if is_printed:
         assert len(lines) == 2
         assert "lowered (KeyError: 'policy')" in lines[0]
     else:

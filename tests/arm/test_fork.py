@@ -62,12 +62,12 @@ def run(action):
 )
 def test_a_child_that_ends_sends_nothing_and_the_arm_goes_on(action, code):
     result = run(action)
-    said = result.stdout.splitlines()
+    lines = result.stdout.splitlines()
     assert result.returncode == 0, result.stderr
     if code != -signal.SIGTERM:  # which ends the child before it can print
-        assert said.pop(0) == "child 0", result.stderr
-    assert said[:2] == [f"{code} True", "False False"], result.stderr
-    assert said[2].startswith("parent ")
+        assert lines.pop(0) == "child 0", result.stderr
+    assert lines[:2] == [f"{code} True", "False False"], result.stderr
+    assert lines[2].startswith("parent ")
 
 
 def test_a_child_that_uses_the_arm_gets_an_error_with_the_owner():

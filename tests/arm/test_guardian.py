@@ -47,18 +47,18 @@ CASES = [
 
 @pytest.mark.parametrize(("phase", "ending", "seed"), CASES)
 def test_the_arm_is_lowered_within_its_bounds(phase, ending, seed):
-    found = guardian.run(Case("so101", phase, ending, seed))
-    assert guardian.violations(found) == [], found
-    assert found["had_torque"]
+    outcome = guardian.run(Case("so101", phase, ending, seed))
+    assert guardian.violations(outcome) == [], outcome
+    assert outcome["had_torque"]
     if phase == "running":
-        assert found["lowered"] > 0.02
+        assert outcome["lowered"] > 0.02
     if ending in {"SIGHUP", "exhausted memory"}:
         # Python may still lower the arm itself.
         return
-    assert "was lowered: torque OFF" in found["said"]
+    assert "was lowered: torque OFF" in outcome["said"]
     reason = {"SIGSTOP": "was stopped for", "held lock": "was silent for"}
-    assert f"the program {reason.get(ending, 'has ended')}" in found["said"]
-    assert found["code"] < 0
+    assert f"the program {reason.get(ending, 'has ended')}" in outcome["said"]
+    assert outcome["code"] < 0
 
 
 #: Pose of `so101` close above its rest pose [rad].
@@ -95,20 +95,20 @@ def bus():
 @pytest.fixture
 def begin(bus, tmp_path):
     """Start a program on the bus with this code, and return it with the id of its guardian."""
-    file, begun = tmp_path / "arm.toml", ExitStack()
+    file, stack = tmp_path / "arm.toml", ExitStack()
     file.write_text(CONFIGURATION)
 
     def start(action, **options):
-        words = "".join(f", {name}={value!r}" for name, value in options.items())
-        code = PROGRAM.format(file=str(file), port=bus.port, options=words, action="{}")
+        options_text = "".join(f", {name}={value!r}" for name, value in options.items())
+        code = PROGRAM.format(file=str(file), port=bus.port, options=options_text, action="{}")
         text = code.replace("{}", textwrap.dedent(action))
         program = programs.Program("-c", text, stdout=programs.PIPE, stderr=programs.PIPE)
-        begun.enter_context(program)
-        begun.callback(program.kill)
+        stack.enter_context(program)
+        stack.callback(program.kill)
         line = program.stdout.readline().strip()
         return program, int(line) if line.isdigit() else line
 
-    with begun:
+    with stack:
         yield start
 
 
@@ -331,9 +331,9 @@ def test_a_tick_makes_no_more_calls_and_requests_with_a_guardian():
             arm.close()
     # Compare minimum and first quartile: cycles make different requests, and have retries on a
     # busy machine.
-    for counted in (calls, requests):
-        assert min(counted[True]) == min(counted[False])
-        quartiles = {has_guardian: sorted(counted[has_guardian])[15] for has_guardian in counted}
+    for counts in (calls, requests):
+        assert min(counts[True]) == min(counts[False])
+        quartiles = {has_guardian: sorted(counts[has_guardian])[15] for has_guardian in counts}
         assert quartiles[True] == quartiles[False]
 
 
@@ -395,7 +395,7 @@ def test_the_guardian_of_a_half_enabled_arm_switches_no_torque_on(powered):
         program.open()
         copy = pickle.loads(pickle.dumps(program.drive.closed_copy()))
         program.close()
-        found = [servo.get("torque_limit") for servo in emulated.servos]
+        limits = [servo.get("torque_limit") for servo in emulated.servos]
         for servo in emulated.servos:
             servo.put("torque_limit", 300)
             servo.put("goal_position", servo.position)
@@ -404,10 +404,10 @@ def test_the_guardian_of_a_half_enabled_arm_switches_no_torque_on(powered):
         arm = pliant.Arm(program.model, copy, guardian=False, handle_signals=False)
         arm._resume("the program has ended")
         assert not any(servo.get("torque_enable") for servo in emulated.servos)
-        assert [servo.get("torque_limit") for servo in emulated.servos] == found
+        assert [servo.get("torque_limit") for servo in emulated.servos] == limits
         assert not any(w.values["torque_enable"] for w in emulated.log.writes("torque_enable"))
-        driven = {write.id for write in emulated.log.writes("goal_position")}
-        assert driven == {servo.id for servo in emulated.servos[:powered]}
+        ids = {write.id for write in emulated.log.writes("goal_position")}
+        assert ids == {servo.id for servo in emulated.servos[:powered]}
         assert not arm.enabled
         arm.close()
 

@@ -50,7 +50,7 @@ def test_limits_that_carry_the_weight_and_a_controllers_are_not_warned_of(make, 
 
 
 def test_an_argument_of_another_kind_is_named(make, grasp):
-    for wrong, error, message in (
+    for value, error, message in (
         (lambda: make(power_budget=5), TypeError, r"power_budget must be a Budget.*got 5 \(int\)"),
         (lambda: make(power_budget=0), TypeError, r"power_budget must be a Budget.*got 0 \(int\)"),
         (lambda: make(grippers=5), TypeError, r"grippers must be a mapping, as .*got 5 \(int\)"),
@@ -63,7 +63,7 @@ def test_an_argument_of_another_kind_is_named(make, grasp):
         (lambda: pliant.Loop(make(), recorder=5), TypeError, r"recorder must be .*got 5 \(int\)"),
     ):
         with pytest.raises(error, match=message):
-            wrong()
+            value()
     with make(q=None, robot="so101") as arm:
         q = arm.read().q
         for arguments, error, message in (
@@ -137,13 +137,13 @@ def test_a_controller_with_another_tip_mass_or_range_is_accepted(make):
     arm = make(q=None, robot="so101")
     text, options = arm.model.source
     low, high = arm.model.lower[0] + 0.1, arm.model.upper[0]
-    for changed, other in (
+    for description, other in (
         (text, {"tip": arm.model.links[5].name}),
         (text, {"payload": pliant.Payload(0.05)}),
         (text, {"limits": {"shoulder_pan": (low, high)}}),
         (text.replace('<mass value="0.', '<mass value="0.1'), {}),
     ):
-        model = pliant.Model.from_urdf_str(changed, **{**options, **other})
+        model = pliant.Model.from_urdf_str(description, **{**options, **other})
         pliant.Loop(arm, pliant.Controller(model, pliant.Settings(task="xyz")))
 
 

@@ -45,7 +45,7 @@ FILES = (
 MODEL = pliant.robots.load("koch")
 SERVOS = pliant.Servos(kp=np.full(MODEL.n, 20.0), max_torque=np.full(MODEL.n, 1.0))
 #: Torque limit that only the program asks for [N·m], and one that only the descent does.
-ASKED, DESCENT = 0.123, 0.05
+PROGRAM_LIMIT, DESCENT_LIMIT = 0.123, 0.05
 #: Height of the arm in periods of the descent.
 HEIGHT = 3
 INT, TERM, HUP = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
@@ -119,7 +119,7 @@ class ServoDrive:
             self.hardware.port = None
         self.open()
         value = 0.0 if self.hardware.on else np.nan
-        return np.full(MODEL.n, value), np.full(MODEL.n, abs(value) + DESCENT)
+        return np.full(MODEL.n, value), np.full(MODEL.n, abs(value) + DESCENT_LIMIT)
 
     def drop_ports(self):
         raise AssertionError
@@ -142,9 +142,9 @@ class ServoDrive:
     def write(self, goal, limit, velocity=None):
         hardware = self.hardware
         hardware.check(self, "write")
-        if limit[0] == ASKED and hardware.is_descending:
+        if limit[0] == PROGRAM_LIMIT and hardware.is_descending:
             hardware.world.fail("a command of the program after the descent began")
-        if limit[0] == DESCENT:
+        if limit[0] == DESCENT_LIMIT:
             hardware.height = max(hardware.height - 1, 0)
 
     def disable(self, names):
@@ -168,7 +168,7 @@ class Descent:
     def step(self, q, ok, dt, age):
         if self._hardware.height == 0:
             return None
-        limit = np.full(MODEL.n, DESCENT)
+        limit = np.full(MODEL.n, DESCENT_LIMIT)
         return SimpleNamespace(goal=np.zeros(MODEL.n), torque_limit=limit, speed_limit=None)
 
 
@@ -330,21 +330,21 @@ class World:
         self.scheduler.step()
 
     def _put_stand_ins(self):
-        put, scheduler = self._patch.setattr, self.scheduler
+        set_attribute, scheduler = self._patch.setattr, self.scheduler
         Descent.world = self
-        put(_supervisor, "threading", scheduler.threading)
-        put(_supervisor, "time", scheduler.time)
-        put(_signals, "time", scheduler.time)
-        put(_shutdown, "time", scheduler.time)
-        put(_shutdown, "Lowering", Descent)
-        put(_guardian_process, "time", scheduler.time)
-        put(_guardian_process, "wait", self._wait)
-        put(_guardian_process, "_is_stopped", lambda _: False)
-        put(arm_module, "atexit", self.exits)
-        put(arm_module, "transfer_weight", self._transfer)
-        put(arm_module, "Guardian", self._make_guardian)
+        set_attribute(_supervisor, "threading", scheduler.threading)
+        set_attribute(_supervisor, "time", scheduler.time)
+        set_attribute(_signals, "time", scheduler.time)
+        set_attribute(_shutdown, "time", scheduler.time)
+        set_attribute(_shutdown, "Lowering", Descent)
+        set_attribute(_guardian_process, "time", scheduler.time)
+        set_attribute(_guardian_process, "wait", self._wait)
+        set_attribute(_guardian_process, "_is_stopped", lambda _: False)
+        set_attribute(arm_module, "atexit", self.exits)
+        set_attribute(arm_module, "transfer_weight", self._transfer)
+        set_attribute(arm_module, "Guardian", self._make_guardian)
         for module in (arm_module, _signals, _shutdown, _guardian, _guardian_process):
-            put(module, "MESSAGES", self.messages)
+            set_attribute(module, "MESSAGES", self.messages)
 
     def _transfer(self, io, *_):
         for _ in range(2):
@@ -379,14 +379,14 @@ class World:
 
         class Guard(_guardian.Guardian):
             def __init__(self):
-                self._line, theirs = Pipe.pair(scheduler, "program", "guardian")
+                self._line, guardian_end = Pipe.pair(scheduler, "program", "guardian")
                 heartbeat = memoryview(bytearray(16)).cast("d")
                 program = Program(0, heartbeat)
 
                 def work():
-                    found = _guardian_process.watch(program, theirs)
-                    if found is not None:
-                        _guardian_process.take_over(*found, program)
+                    status = _guardian_process.watch(program, guardian_end)
+                    if status is not None:
+                        _guardian_process.take_over(*status, program)
 
                 self._task = task = scheduler.spawn("guardian", work, "guardian")
                 self._process = SimpleNamespace(
@@ -413,7 +413,7 @@ class World:
 
 
 def command():
-    return SimpleNamespace(goal=np.zeros(MODEL.n), torque_limit=np.full(MODEL.n, ASKED))
+    return SimpleNamespace(goal=np.zeros(MODEL.n), torque_limit=np.full(MODEL.n, PROGRAM_LIMIT))
 
 
 def ticks(world, arm, count, stall):
@@ -488,7 +488,7 @@ class Case:
     def run(self, actions):
         """Run with the actions of a plan."""
         world = self._make()
-        plan = Plan({at: self._action(world, *action) for at, action in actions.items()})
+        plan = Plan({step: self._action(world, *action) for step, action in actions.items()})
         try:
             world.run(plan)
         except AssertionError as error:
@@ -514,19 +514,19 @@ def random_actions(rng, case):
     kinds = [("signal", INT), ("signal", TERM), ("signal", HUP), ("fault", 1), ("fault", 120)]
     kinds += [("switch", 0), ("switch", 1)] * 2
     kinds += [("kill", None)] * case.guardian
-    first = at = rng.randrange(1, case.steps + 50)
-    found = {}
+    first = step = rng.randrange(1, case.steps + 50)
+    actions = {}
     for _ in range(rng.randint(1, 4)):
-        found[at] = rng.choice(kinds)
-        near = rng.random() < 0.6
-        at = max(1, first + rng.randint(-5, 40)) if near else rng.randrange(1, case.steps + 50)
-    return found
+        actions[step] = rng.choice(kinds)
+        is_near = rng.random() < 0.6
+        step = max(1, first + rng.randint(-5, 40)) if is_near else rng.randrange(1, case.steps + 50)
+    return actions
 
 
-def run_at_random(found, runs, first=0):
+def run_at_random(failures, runs, first=0):
     for seed in range(first, first + runs):
         rng = random.Random(seed)
-        case = rng.choice(found)
+        case = rng.choice(failures)
         case.run(random_actions(rng, case))
 
 
@@ -546,9 +546,9 @@ def test_no_single_disturbance_at_any_line_does(monkeypatch, stride, guardian):
     disturbances += [("kill", None)] * guardian
     for stall in (0.0, 0.35):
         case = Case(monkeypatch, with_block, stall, guardian)
-        for at in range(1, case.steps + 1, stride):
+        for step in range(1, case.steps + 1, stride):
             for disturbance in disturbances:
-                case.run({at: disturbance})
+                case.run({step: disturbance})
 
 
 @pytest.mark.parametrize("program", [with_block, calls, end_at_once])
@@ -557,9 +557,9 @@ def test_two_signals_at_any_line_of_an_ending_change_nothing(monkeypatch, progra
 
 
 def interrupt_ending(case):
-    for at in range(case.ending, case.ending + 110):
-        case.run({at: ("signal", TERM)})
-        case.run({at: ("signal", INT), at + 1 + at % 7: ("signal", TERM)})
+    for step in range(case.ending, case.ending + 110):
+        case.run({step: ("signal", TERM)})
+        case.run({step: ("signal", INT), step + 1 + step % 7: ("signal", TERM)})
 
 
 @contextmanager
@@ -601,11 +601,11 @@ MUTANTS = {
 @pytest.mark.parametrize("name", MUTANTS)
 def test_schedules_find_a_seeded_fault(monkeypatch, name):
     owner, attribute, replacement, program = MUTANTS[name]
-    found = list(cases(monkeypatch)) if program is None else []
+    failures = list(cases(monkeypatch)) if program is None else []
     case = None if program is None else Case(monkeypatch, program, 0.0, guardian=False)
     monkeypatch.setattr(owner, attribute, replacement)
     with pytest.raises(AssertionError):
-        run_at_random(found, 4000) if case is None else interrupt_ending(case)
+        run_at_random(failures, 4000) if case is None else interrupt_ending(case)
 
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "lifecycle.md").read_text(encoding="utf-8")
@@ -702,11 +702,11 @@ class Story:
         self._happen(arm)
 
 
-@pytest.mark.parametrize(("state", "event", "then"), TRANSITIONS)
-def test_states_of_the_page_are_those_of_the_code(monkeypatch, state, event, then):
-    found = Story(monkeypatch, state, event).run()
-    assert ", ".join(name for name, _ in found) == then
-    for name, owner in found:
+@pytest.mark.parametrize(("state", "event", "expected"), TRANSITIONS)
+def test_states_of_the_page_are_those_of_the_code(monkeypatch, state, event, expected):
+    states = Story(monkeypatch, state, event).run()
+    assert ", ".join(name for name, _ in states) == expected
+    for name, owner in states:
         assert OWNERS[name] == ("off" if name == "off" else "on", owner)
 
 

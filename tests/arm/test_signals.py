@@ -78,15 +78,15 @@ def test_the_end_of_the_program_lowers():
 
 def test_other_threads_are_warned_that_signals_do_nothing():
     arm = pliant.connect("koch", backend="sim", table=False, rest_q=None)
-    found = []
+    messages = []
 
     def work():
         with pytest.warns(RuntimeWarning, match="outside the main thread"):
             arm.enable()
         arm.leave_enabled()
-        found.append(True)
+        messages.append(True)
 
     thread = threading.Thread(target=work)
     thread.start()
     thread.join()
-    assert found == [True]
+    assert messages == [True]

@@ -43,12 +43,12 @@ def test_limits_equal_their_formula(supply, lead):
     n, size = model.n, model.n + 1
     rng = np.random.default_rng(0)
     chain = [5, 0, 2, 3, 1]
-    kp, usable = rng.uniform(5.0, 20.0, size), rng.uniform(1.0, 3.0, size)
+    kp, max_torque = rng.uniform(5.0, 20.0, size), rng.uniform(1.0, 3.0, size)
     servos = model.servos
-    thermal = Budget(supply=supply).thermal_model(usable, np.full(size, 2.0))
-    limiter = CommandLimiter(model, servos, thermal, chain=chain, kp=kp, max_torque=usable)
+    thermal = Budget(supply=supply).thermal_model(max_torque, np.full(size, 2.0))
+    limiter = CommandLimiter(model, servos, thermal, chain=chain, kp=kp, max_torque=max_torque)
     heat = np.zeros(size)
-    reduced = 0
+    count = 0
     for _ in range(200):
         position = rng.normal(0.0, 1.0, size)
         position[rng.random(size) < 0.1] = np.nan
@@ -59,15 +59,15 @@ def test_limits_equal_their_formula(supply, lead):
             goal, limit, gravity, position, other, ramp=ramp, ramp_start=ramp_start, lead=lead
         )
         # Goals are bounded by position limits and lead.
-        need, largest = gravity / kp[chain], usable[chain] / kp[chain]
+        need, largest = gravity / kp[chain], max_torque[chain] / kp[chain]
         below, above = (
             (largest, largest) if lead else (np.maximum(-need, 0.0), np.maximum(need, 0.0))
         )
-        clipped = np.clip(goal, model.lower - below, model.upper + above)
-        assert goals[chain] == pytest.approx(clipped, abs=1e-12)
+        clipped_goal = np.clip(goal, model.lower - below, model.upper + above)
+        assert goals[chain] == pytest.approx(clipped_goal, abs=1e-12)
         assert (goals[4], limits[4]) == (other[0, 0], min(other[0, 1], thermal.torque_ceiling()[4]))
         # Torque limits are bounded by the ramp after torque on, heat and supply current.
-        support, top = SUPPORT * np.abs(gravity), usable[chain]
+        support, top = SUPPORT * np.abs(gravity), max_torque[chain]
         holding = np.minimum(np.maximum(support + torque_margin(servos, gravity), ramp_start), top)
         bound = holding + np.clip(ramp, 0.0, 1.0) * (top - holding)
         bound = np.minimum(
@@ -80,7 +80,7 @@ def test_limits_equal_their_formula(supply, lead):
         pull = kp * np.nan_to_num(goals - position)
         expected = thermal.limit_current(pull, floor, before)
         assert limits[chain] == pytest.approx(expected[chain], abs=1e-12)
-        reduced += bool((expected < before).any())
+        count += bool((expected < before).any())
         # Heat follows from the measured load, or from the estimated torque where it is missing.
         load = rng.normal(0.0, 2.0, size)
         load[rng.random(size) < 0.5] = np.nan
@@ -91,21 +91,21 @@ def test_limits_equal_their_formula(supply, lead):
             positions, position, ok, 0.0, load,
             goal=goals, limit=limits, dt=2.0, now=0.0, max_jumps=3, max_heat=1.0,
         )  # fmt: skip
-        heat += -np.expm1(-2.0 / 30.0) * ((torque / (0.4 * usable)) ** 2 - heat)
+        heat += -np.expm1(-2.0 / 30.0) * ((torque / (0.4 * max_torque)) ** 2 - heat)
         assert thermal.heat == pytest.approx(heat, rel=1e-9)
-    assert (reduced > 50) == (supply is not None)
+    assert (count > 50) == (supply is not None)
 
 
 def test_a_reading_updates_filter_and_heat_as_single_calls_do():
     model = pliant.robots.so101()
     n, size, chain = model.n, model.n + 1, [5, 0, 2, 3, 1]
     rng = np.random.default_rng(1)
-    kp, usable = rng.uniform(5.0, 20.0, size), rng.uniform(1.0, 3.0, size)
+    kp, max_torque = rng.uniform(5.0, 20.0, size), rng.uniform(1.0, 3.0, size)
 
     def made():
-        thermal = Budget().thermal_model(usable, None)
+        thermal = Budget().thermal_model(max_torque, None)
         limiter = CommandLimiter(
-            model, model.servos, thermal, chain=chain, kp=kp, max_torque=usable
+            model, model.servos, thermal, chain=chain, kp=kp, max_torque=max_torque
         )
         return limiter, PositionFilter(np.full(size, 0.5)), thermal
 
@@ -117,21 +117,21 @@ def test_a_reading_updates_filter_and_heat_as_single_calls_do():
         position = 0.1 * rng.random(size) + 2.0 * (rng.random(size) < 0.05)
         ok = rng.random(size) > 0.2
         time = 0.01 * cycle + 0.001 * rng.random(size)
-        goal, limit = rng.normal(0.0, 1.0, size), usable * (1.5 if cycle > 200 else 0.1)
+        goal, limit = rng.normal(0.0, 1.0, size), max_torque * (1.5 if cycle > 200 else 0.1)
         load = None if cycle % 3 else rng.normal(0.0, 0.1, size)
         mask, q, age, oldest, off_chain, is_suspect = limiter.update(
             positions, position, ok, time, load,
             goal=goal, limit=limit, dt=dt, now=now, max_jumps=2, max_heat=0.9,
         )  # fmt: skip
-        accepted = expected.update(position, ok, time)
-        assert mask.tolist() == accepted[chain].tolist()
+        is_accepted = expected.update(position, ok, time)
+        assert mask.tolist() == is_accepted[chain].tolist()
         np.testing.assert_array_equal(q, expected.position[chain])
         np.testing.assert_array_equal(age, now - expected.time[chain])
         assert oldest == expected.time[chain].min()
         np.testing.assert_array_equal(off_chain, [expected.position[4]])
         torque = np.minimum(np.abs(np.nan_to_num(kp * (goal - expected.position))), limit)
         torque = torque if load is None else np.abs(load)
-        heat += -np.expm1(-dt / 30.0) * ((torque / (0.4 * usable)) ** 2 - heat)
+        heat += -np.expm1(-dt / 30.0) * ((torque / (0.4 * max_torque)) ** 2 - heat)
         assert thermal.heat == pytest.approx(heat, rel=1e-9)
         is_hot = bool((heat > 0.9).any())
         assert is_suspect == (bool(expected.implausible(2)) or is_hot)

@@ -206,14 +206,14 @@ def test_what_opening_names_setup_for_setup_mends_and_undoes(model, registers, t
     with Emulator([Device(model, id=i, **registers) for i in range(1, 6)]) as bus:
         table = write_arm(file, bus, model)
         before = [bytes(servo.stored) for servo in bus.servos]
-        chain = ServoBus(
+        servo_bus = ServoBus(
             [ServoSpec(name=n, model=table, id=i, port=bus.port) for i, n in enumerate(JOINTS, 1)]
         )
         with pytest.raises(ServoError, match="`pliant servos setup`"):
-            chain.open()
+            servo_bus.open()
         assert main(["servos", "setup", str(file), "--yes", "--backup", str(backup)]) == 0
-        chain.open()
-        chain.close()
+        servo_bus.open()
+        servo_bus.close()
         assert main(["servos", "setup", str(file), "--yes", "--undo", str(backup)]) == 0
         assert [bytes(servo.stored) for servo in bus.servos] == before
 

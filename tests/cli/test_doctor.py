@@ -59,12 +59,12 @@ def test_a_rest_pose_inside_the_table_is_bad(tmp_path):
 def test_a_gain_that_the_servo_has_not_is_said():
     with make_emulator(config.load("so101", backend="emulator"), clock="steps") as bus:
         arm_config = config.load("so101", port=bus.port)
-        chain = factory.make_bus(arm_config, {"main": bus.port})
-        chain.open()
+        servo_bus = factory.make_bus(arm_config, {"main": bus.port})
+        servo_bus.open()
         try:
-            assert chain.gains == dict.fromkeys(chain.names, 16)
+            assert servo_bus.gains == dict.fromkeys(servo_bus.names, 16)
         finally:
-            chain.close()
+            servo_bus.close()
     text = config.loader.builtin_text("so101").replace("id = 2, gain = 16", "id = 2, gain = 32")
     with make_emulator(config.parse(f'backend = "emulator"\n{text}')) as bus:
         arm_config = config.load("so101", port=bus.port)

@@ -137,8 +137,8 @@ def robots():
     """Return the reference arms whose URDF is available, with base and tip of their chains."""
     found = []
     for file in sorted(SHARED.glob("*/reference_fk.json")):
-        chain = json.loads(file.read_text(encoding="utf-8"))
-        robot = (file.parent / chain["urdf"], chain["base"], chain["tip"])
+        entry = json.loads(file.read_text(encoding="utf-8"))
+        robot = (file.parent / entry["urdf"], entry["base"], entry["tip"])
         marks = () if file.parent.name in ALWAYS else pytest.mark.full
         found.append(pytest.param(robot, id=file.parent.name, marks=marks))
     return found

@@ -60,11 +60,11 @@ def test_limits_reach_the_motors_and_the_arm_stays(build, share):
             )
             for mount, low, high in zip(mounts, model.lower, model.upper, strict=True)
         ]
-        chain = ServoBus(specs, rate=1.0 / TICK, reply_timeout_min=0.3, clock=ManualClock(bus))
+        servo_bus = ServoBus(specs, rate=1.0 / TICK, reply_timeout_min=0.3, clock=ManualClock(bus))
         try:
-            run(bus, chain, model, settings, share)
+            run(bus, servo_bus, model, settings, share)
         finally:
-            chain.close()
+            servo_bus.close()
 
 
 def run(bus, servo_bus, model, settings, share):

@@ -46,9 +46,9 @@ def made():
 def uses(controller, contact, target):
     """Return all calls that could use controller or contact estimator at the same time."""
     command = controller.step(Q, target)
-    sent = (command.goal, command.torque_limit)
+    arrays = (command.goal, command.torque_limit)
     return {
-        "contact.update": lambda: contact.update(Q, sent=sent),
+        "contact.update": lambda: contact.update(Q, sent=arrays),
         "contact.uncertainty_at": lambda: contact.uncertainty_at(Q),
         "contact.typical_uncertainty": contact.typical_uncertainty,
         "contact.latency": lambda: contact.latency,
@@ -92,32 +92,32 @@ def test_a_batch_state_may_be_used_while_its_arguments_are_read():
     controller, _, target = made()
     state = controller.batch_state(2)
     rows = np.array([Q, Q])
-    use = lambda: controller.step_batch(rows, target, state=state)  # noqa: E731
-    state.reset([0], Q=Array(use))
-    controller.step_batch(rows, Accessor(use), state=state)
+    call = lambda: controller.step_batch(rows, target, state=state)  # noqa: E731
+    state.reset([0], Q=Array(call))
+    controller.step_batch(rows, Accessor(call), state=state)
 
 
 def test_a_contact_in_another_thread_meets_no_panic():
     controller, contact, _target = made()
-    over, odd, calls = threading.Event(), [], []
-    accessor = Accessor(lambda: over.wait(1e-4))
+    is_over, unexpected, calls = threading.Event(), [], []
+    accessor = Accessor(lambda: is_over.wait(1e-4))
 
     def watch():
-        while not over.is_set():
+        while not is_over.is_set():
             try:
                 contact.update(Q)
             except BaseException as error:
-                odd.append(error)
+                unexpected.append(error)
             calls.append(1)
 
     thread = threading.Thread(target=watch)
     thread.start()
     for _ in range(300):
         controller.step(Q, accessor)
-    over.set()
+    is_over.set()
     thread.join()
     assert calls
-    assert not odd, repr(odd[0])
+    assert not unexpected, repr(unexpected[0])
 
 
 def test_objects_in_use_raise():
@@ -125,29 +125,29 @@ def test_objects_in_use_raise():
     controller, _, target = made()
     rows = np.tile(Q, (20_000, 1))
     state = controller.batch_state(len(rows))
-    over, said = threading.Event(), []
+    is_over, messages = threading.Event(), []
 
     def disturb():
-        while not over.is_set():
+        while not is_over.is_set():
             try:
                 state.reset([0])
             except RuntimeError as error:
-                said.append(str(error))
+                messages.append(str(error))
 
     thread = threading.Thread(target=disturb)
     thread.start()
     deadline = 200
-    while not said and deadline:
+    while not messages and deadline:
         deadline -= 1
         try:
             controller.step_batch(rows, target, state=state)
         except RuntimeError as error:
-            said.append(str(error))
-    over.set()
+            messages.append(str(error))
+    is_over.set()
     thread.join()
-    assert said
-    assert "this BatchState is in use by another call" in said[0]
-    assert "threading.Lock" in said[0]
+    assert messages
+    assert "this BatchState is in use by another call" in messages[0]
+    assert "threading.Lock" in messages[0]
 
 
 def test_masked_arrays_are_no_numbers():
@@ -196,11 +196,11 @@ def test_a_command_that_cannot_be_written_is_refused_before_the_step():
     def freeze():
         out.goal.flags.writeable = False
 
-    moved = target.copy()
-    moved[2, 3] += 0.05
+    moved_target = target.copy()
+    moved_target[2, 3] += 0.05
     limit = controller.step(Q, target).torque_limit.copy()
     with pytest.raises(TypeError, match="writable"):
-        controller.step(Array(freeze), moved, out=out)
+        controller.step(Array(freeze), moved_target, out=out)
     assert np.array_equal(out.goal, goal)
     assert np.array_equal(controller.step(Q, target).torque_limit, limit)
 

@@ -16,12 +16,12 @@ from pliant import _core
 STUB = Path(pliant.__file__).with_name("_core.pyi")
 
 
-def documented(node: ast.Module | ast.ClassDef, inside: str = "") -> dict[str, str]:
+def documented(node: ast.Module | ast.ClassDef, owner: str = "") -> dict[str, str]:
     """Return the docstrings of public classes, members and functions of the stub, by name.
 
     The docstrings of overloads are joined.
     """
-    found: dict[str, list[str]] = {}
+    docstrings: dict[str, list[str]] = {}
     # Functions that some systems lack are below an `if`.
     items = [i for item in node.body for i in (item.body if isinstance(item, ast.If) else [item])]
     for item in items:
@@ -29,11 +29,11 @@ def documented(node: ast.Module | ast.ClassDef, inside: str = "") -> dict[str, s
             continue
         if item.name.startswith("_"):
             continue
-        name = inside + item.name
-        found.setdefault(name, []).extend([text] if (text := ast.get_docstring(item)) else [])
+        name = owner + item.name
+        docstrings.setdefault(name, []).extend([text] if (text := ast.get_docstring(item)) else [])
         if isinstance(item, ast.ClassDef):
-            found.update({k: [v] for k, v in documented(item, f"{item.name}.").items()})
-    return {name: "\n\n".join(texts) for name, texts in found.items()}
+            docstrings.update({k: [v] for k, v in documented(item, f"{item.name}.").items()})
+    return {name: "\n\n".join(texts) for name, texts in docstrings.items()}
 
 
 def expected(name: str) -> str:
@@ -60,8 +60,11 @@ def compiled(name: str) -> object:
 def test_help_is_the_text_of_the_stub(name):
     text = expected(name)
     assert text, "the stub says nothing"
-    kept = compiled(name)
-    assert inspect.cleandoc(getattr(kept, "__func__", kept).__doc__ or "") == text
+    compiled_object = compiled(name)
+    assert (
+        inspect.cleandoc(getattr(compiled_object, "__func__", compiled_object).__doc__ or "")
+        == text
+    )
 
 
 def test_every_public_member_is_in_the_stub():
@@ -70,8 +73,8 @@ def test_every_public_member_is_in_the_stub():
     }
     for name in sorted(public):
         if inspect.isclass(owner := getattr(_core, name)):
-            here = {m for m in vars(owner) if not m.startswith("_")}
-            public |= {f"{name}.{m}" for m in here if not issubclass(owner, Exception)}
+            members = {m for m in vars(owner) if not m.startswith("_")}
+            public |= {f"{name}.{m}" for m in members if not issubclass(owner, Exception)}
     assert public == set(DOCUMENTED)
     assert len(public) > 250
 

@@ -45,8 +45,8 @@ def test_import_is_light():
         "import numpy, sys; before = set(sys.modules); import pliant; "
         "print(*(set(sys.modules) - before))"
     )
-    own = {"pliant", "pliant._core"}
-    assert set(run(code)) <= own | {"__future__", "importlib.metadata"}
+    packages = {"pliant", "pliant._core"}
+    assert set(run(code)) <= packages | {"__future__", "importlib.metadata"}
 
 
 def test_a_second_interpreter_of_the_process_is_refused():

@@ -99,15 +99,15 @@ def test_a_file_that_is_not_there_is_pythons_own_error(tmp_path):
 
 
 def test_faults_carry_their_place(tmp_path):
-    broken = tmp_path / "broken.urdf"
-    broken.write_text(
+    file = tmp_path / "broken.urdf"
+    file.write_text(
         URDF.read_text(encoding="utf-8").replace('mass value="', 'mass value="x'), encoding="utf-8"
     )
     with pytest.raises(pliant.UrdfError) as error:
-        pliant.Model.from_urdf(broken)
-    assert error.value.source == str(broken)
+        pliant.Model.from_urdf(file)
+    assert error.value.source == str(file)
     assert error.value.line > 1
-    assert f"{broken}:{error.value.line}:{error.value.column}: " in str(error.value)
+    assert f"{file}:{error.value.line}:{error.value.column}: " in str(error.value)
 
 
 def test_a_missing_frame_lists_those_there_are():

@@ -60,8 +60,8 @@ class Oracle:
         root_from_base, root_from_tip = self.data.oMf[self.base], self.data.oMf[self.tip]
         axes = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
         jacobian = self.collect(pin.getFrameJacobian(self.pin, self.data, self.tip, axes))
-        turn = root_from_base.rotation.T
-        jacobian = np.vstack([turn @ jacobian[:3], turn @ jacobian[3:]])
+        rotation = root_from_base.rotation.T
+        jacobian = np.vstack([rotation @ jacobian[:3], rotation @ jacobian[3:]])
         return root_from_base.actInv(root_from_tip).homogeneous, jacobian
 
     def gravity(self, q):
@@ -79,9 +79,9 @@ def _samples(model, count=20):
     return [np.clip(np.zeros(model.n), low, high), *generator.uniform(low, high, (count, model.n))]
 
 
-def _agree(got, expected):
+def _agree(actual, expected):
     scale = max(1.0, float(np.abs(expected).max()))
-    np.testing.assert_allclose(got, expected, rtol=0.0, atol=TOLERANCE * scale)
+    np.testing.assert_allclose(actual, expected, rtol=0.0, atol=TOLERANCE * scale)
 
 
 def _compare(path, base=None, tip=None):
@@ -94,8 +94,8 @@ def _compare(path, base=None, tip=None):
         _agree(pose, expected_pose)
         _agree(jacobian, expected_jacobian)
         _agree(model.gravity(q), oracle.gravity(q))
-        turn = pose[:3, :3].T
-        local = np.vstack([turn @ jacobian[:3], turn @ jacobian[3:]])
+        rotation = pose[:3, :3].T
+        local = np.vstack([rotation @ jacobian[:3], rotation @ jacobian[3:]])
         _agree(model.jacobian(q, reference="local"), local)
 
 
@@ -128,8 +128,8 @@ def test_inverse_kinematics_reaches_the_target_or_gives_the_reason():
         assert solution.converged
         np.testing.assert_allclose(model.forward_kinematics(solution.q), target, atol=1e-7)
     target[:3, 3] = 5.0
-    lost = model.inverse_kinematics(target, q)
-    assert not lost
-    assert "out of reach" in lost.reason
-    assert lost.position_error > 5.0
+    failure = model.inverse_kinematics(target, q)
+    assert not failure
+    assert "out of reach" in failure.reason
+    assert failure.position_error > 5.0
     assert model.inverse_kinematics([0.2, 0.1, -0.3], q, axes="xyz").converged

@@ -21,8 +21,8 @@ def test_a_time_in_milliseconds_is_no_time(controller, model, q, target, dt):
     assert refused(controller.step_joints, q, q, dt=dt) == message
     assert refused(controller.step_batch, q[None], target, dt=dt) == message
     assert refused(pliant.ContactEstimator(controller).update, q, dt=dt) == message
-    for taken in (controller, pliant.Controller(model, pliant.Settings(rate=1.0))):
-        taken.step(q, target, dt=None if taken is not controller else 1.0)
+    for instance in (controller, pliant.Controller(model, pliant.Settings(rate=1.0))):
+        instance.step(q, target, dt=None if instance is not controller else 1.0)
     assert refused(controller.step, q, target, dt=0.0) == "dt [s] = 0 is outside (0, 1]"
     assert refused(controller.step, q, target, dt=np.nan) == "dt [s] = NaN is outside (0, 1]"
 
@@ -30,21 +30,21 @@ def test_a_time_in_milliseconds_is_no_time(controller, model, q, target, dt):
 @pytest.mark.parametrize("axis", range(3))
 def test_a_place_in_millimetres_is_no_place(model, q, target, axis):
     controller = pliant.Controller(model, pliant.Settings(task="xyz"))
-    lone = target[:3, 3].copy()
-    lone[axis] = target[axis, 3] = -250.0
-    message = refused(model.check_target, lone).removeprefix("target")
+    position = target[:3, 3].copy()
+    position[axis] = target[axis, 3] = -250.0
+    message = refused(model.check_target, position).removeprefix("target")
     assert message.startswith(": distance of position [")
     assert "outside [0, 1.520]: the arm reaches 0.710 m; is it in millimetres?" in message
     assert refused(controller.step, q, target) == f"target{message}"
-    assert refused(controller.step, q, lone) == f"target{message}"
+    assert refused(controller.step, q, position) == f"target{message}"
     assert refused(controller.step_batch, q[None], target) == f"targets{message}"
-    assert refused(controller.step_batch, q[None], lone[None]).endswith(message)
-    far = f"position {'xyz'[axis]} [m] = -250 is outside ±100; is it in millimetres?"
-    assert refused(model.inverse_kinematics, target, q).endswith(far)
-    lone[axis] = 1.2
-    goals = controller.step_batch(np.stack([q, q]), lone).goal
+    assert refused(controller.step_batch, q[None], position[None]).endswith(message)
+    expected = f"position {'xyz'[axis]} [m] = -250 is outside ±100; is it in millimetres?"
+    assert refused(model.inverse_kinematics, target, q).endswith(expected)
+    position[axis] = 1.2
+    goals = controller.step_batch(np.stack([q, q]), position).goal
     assert np.isfinite(goals).all()
-    assert np.isfinite(controller.step(q, lone).goal).all()
+    assert np.isfinite(controller.step(q, position).goal).all()
 
 
 def test_a_pose_with_a_wrong_last_row_is_no_posture(model, target):
@@ -55,11 +55,11 @@ def test_a_pose_with_a_wrong_last_row_is_no_posture(model, target):
 
 
 def test_what_is_not_a_number_is_said_plainly(model, q, target):
-    lost = np.where(np.arange(7) == 2, np.nan, q)
+    invalid_q = np.where(np.arange(7) == 2, np.nan, q)
     name = model.joint_names[2]
-    assert refused(model.forward_kinematics, lost) == f"q[2] ({name}) = NaN is outside ±1e6"
+    assert refused(model.forward_kinematics, invalid_q) == f"q[2] ({name}) = NaN is outside ±1e6"
     controller = pliant.Controller(model)
-    assert refused(controller.step, lost, target) == f"q[2] ({name}) = NaN is outside ±1e6"
+    assert refused(controller.step, invalid_q, target) == f"q[2] ({name}) = NaN is outside ±1e6"
     target[0, 3] = np.inf
     message = refused(controller.step, q, target)
     assert message == "target: position x [m] = inf is outside ±100"
@@ -67,51 +67,54 @@ def test_what_is_not_a_number_is_said_plainly(model, q, target):
 
 def calls(model, q):
     """Return calls with one argument of a wrong type, and the expected error texts."""
-    lone = pliant.Controller(model, pliant.Settings(task="xyz"))
-    at = model.forward_kinematics(q)[:3, 3]
-    contact = pliant.ContactEstimator(lone)
+    instance = pliant.Controller(model, pliant.Settings(task="xyz"))
+    position = model.forward_kinematics(q)[:3, 3]
+    contact = pliant.ContactEstimator(instance)
     text = model.source[0]
     servos = pliant.Servos.of
     return {
         "mass": (
-            lambda: lone.set_payload("0.3"),
+            lambda: instance.set_payload("0.3"),
             "a number [kg]; 0 for no payload, got '0.3' (str)",
         ),
-        "mass ": (lambda: lone.set_payload(None), "a number [kg]; 0 for no payload, got None"),
-        "delay": (lambda: lone.set_delay("a"), "a number [s], got 'a' (str)"),
-        "delay ": (lambda: lone.set_delay(True), "a number [s], got True (bool)"),
+        "mass ": (lambda: instance.set_payload(None), "a number [kg]; 0 for no payload, got None"),
+        "delay": (lambda: instance.set_delay("a"), "a number [s], got 'a' (str)"),
+        "delay ": (lambda: instance.set_delay(True), "a number [s], got True (bool)"),
         "press": (lambda: pliant.Settings.wipe(press="5"), "a number [N], got '5' (str)"),
         "pull": (lambda: pliant.Settings.drawer(pull="5"), "a number [N], got '5' (str)"),
         "push": (lambda: pliant.Settings.plug(push="5"), "a number [N], got '5' (str)"),
         "axis": (lambda: pliant.Settings.wipe(axis=3), "the name of an axis, such as 'x', got 3"),
         "kp_error": (
-            lambda: pliant.ContactEstimator(lone, kp_error="2%"),
+            lambda: pliant.ContactEstimator(instance, kp_error="2%"),
             "a number; a share of 2 % is 0.02",
         ),
         "filter": (
-            lambda: pliant.ContactEstimator(lone, filter="fast"),
+            lambda: pliant.ContactEstimator(instance, filter="fast"),
             "a number [s], got 'fast' (str)",
         ),
         "max_wrench": (
-            lambda: pliant.ContactEstimator(lone, max_wrench=3),
+            lambda: pliant.ContactEstimator(instance, max_wrench=3),
             "a pair (force [N], torque [N·m]), got 3",
         ),
         "axes": (
-            lambda: pliant.ContactEstimator(lone, axes=3),
+            lambda: pliant.ContactEstimator(instance, axes=3),
             "an axis key such as 'xyz rpy', got 3",
         ),
         "accept_thresholds": (
-            lambda: pliant.ContactEstimator(lone, accept_thresholds=3),
+            lambda: pliant.ContactEstimator(instance, accept_thresholds=3),
             "True or False, got 3",
         ),
         "dt": (lambda: contact.update(q, dt="a"), "a number [s], got 'a' (str)"),
         "sent": (lambda: contact.update(q, sent=3), "a pair (goal, torque_limit), got 3"),
-        "count": (lambda: lone.batch_state(-1), "a whole number, 0 or more, got -1 (int)"),
+        "count": (lambda: instance.batch_state(-1), "a whole number, 0 or more, got -1 (int)"),
         "state": (
-            lambda: lone.step_batch(q[None], at, state=3),
+            lambda: instance.step_batch(q[None], position, state=3),
             "a BatchState, as batch_state(N) ",
         ),
-        "out": (lambda: lone.step(q, at, out=np.zeros(7)), "a Command, as a step returns it, got "),
+        "out": (
+            lambda: instance.step(q, position, out=np.zeros(7)),
+            "a Command, as a step returns it, got ",
+        ),
         "source": (lambda: pliant.Model.from_urdf(None), "the path of a URDF file (str or path"),
         "text": (lambda: pliant.Model.from_urdf_str(None), "URDF text; for a file there is Model"),
         "damping": (

@@ -38,25 +38,25 @@ DIRECTIONS = [np.array(d, float) for d in ([1, 0, 0], [0, -1, 0], [0, 0, 1], [1,
 def test_the_bound_on_a_target_is_a_ball_around_the_first_joint(arm, direction):
     model, controller, q = arm
     bound = 2.0 * model.reach + 0.1
-    near, far = at(model, bound - 1e-6, direction), at(model, bound + 1e-6, direction)
+    inside, outside = at(model, bound - 1e-6, direction), at(model, bound + 1e-6, direction)
     rows = np.array([q, q])
-    controller.step(q, near)
-    model.check_target(near)
-    controller.check(near, q0=q)
+    controller.step(q, inside)
+    model.check_target(inside)
+    controller.check(inside, q0=q)
     state = controller.batch_state(2)
-    controller.step_batch(rows, np.array([near, near]), state=state)
+    controller.step_batch(rows, np.array([inside, inside]), state=state)
     before = pickle.dumps(controller)
-    for refused in (
-        lambda: controller.step(q, far),
-        lambda: model.check_target(far),
-        lambda: model.check_target(far[:3, 3]),
-        lambda: controller.check(far, q0=q),
-        lambda: controller.step_batch(rows, far),
-        lambda: controller.step_batch(rows, np.array([near, far])),
-        lambda: controller.step_batch(rows, np.array([near, far]), state=state),
+    for call in (
+        lambda: controller.step(q, outside),
+        lambda: model.check_target(outside),
+        lambda: model.check_target(outside[:3, 3]),
+        lambda: controller.check(outside, q0=q),
+        lambda: controller.step_batch(rows, outside),
+        lambda: controller.step_batch(rows, np.array([inside, outside])),
+        lambda: controller.step_batch(rows, np.array([inside, outside]), state=state),
     ):
         with pytest.raises(pliant.OutOfRangeError) as error:
-            refused()
+            call()
         message = str(error.value)
         assert model.joint_names[0] in message
         assert "millimetres?" in message
@@ -129,16 +129,16 @@ def test_joint_targets_beyond_the_limits_by_a_margin_are_refused(arm):
             command = controller.step_joints(q, expected)
             assert np.all(np.isfinite(command.goal))
             before = pickle.dumps(controller)
-            for off in (0.21, 2.75, 57.0):
-                expected[i] = limit[i] + sign * off
-                for refused in (
+            for excess in (0.21, 2.75, 57.0):
+                expected[i] = limit[i] + sign * excess
+                for call in (
                     lambda expected=expected: controller.step_joints(q, expected),
                     lambda expected=expected: model.check_joint_target(expected),
                     lambda expected=expected: controller.check(expected),
                     lambda expected=expected: controller.check(np.array([q, expected])),
                 ):
                     with pytest.raises(pliant.OutOfRangeError) as error:
-                        refused()
+                        call()
                     message = str(error.value)
                     assert model.joint_names[i] in message
                     assert "degrees?" in message
@@ -166,14 +166,14 @@ def test_rows_that_are_too_far_become_nan_where_asked():
         for count in (3, 300):
             rows = rng.uniform(-0.5, 0.5, (count, 7)) + np.array([0, 0, 0, -1, 0, 0, 0])
             poses = model.forward_kinematics_batch(rows)
-            far = rng.random(count) < 0.3
-            far[1] = True
-            for i in np.flatnonzero(far):
+            is_far = rng.random(count) < 0.3
+            is_far[1] = True
+            for i in np.flatnonzero(is_far):
                 poses[i] = at(model, bound * rng.uniform(1.001, 50), rng.normal(size=3))
             for state in (None, controller.batch_state(count)):
                 out = controller.step_batch(rows, poses, state=state, invalid="nan")
-                assert np.array_equal(np.isnan(out.goal).any(axis=1), far)
-                first = int(np.flatnonzero(far)[0])
+                assert np.array_equal(np.isnan(out.goal).any(axis=1), is_far)
+                first = int(np.flatnonzero(is_far)[0])
                 with pytest.raises(
                     pliant.OutOfRangeError, match=rf"targets\[{first}\].*millimetres"
                 ):

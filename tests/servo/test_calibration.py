@@ -30,22 +30,22 @@ def opened(name, folder, **changes):
     changed = config.load(name, backend="emulator", calibration=lerobot_file(folder, **changes))
     with make_emulator(matching, clock="steps") as bus:
         before = bus.log.order(1)
-        chain = ServoBus(
+        servo_bus = ServoBus(
             factory.servo_specs(changed, bus.ports), reply_timeout_min=0.5, clock=ManualClock(bus)
         )
         try:
-            chain.open()
-            return [note for servo in chain.found for note in servo.notes], chain
+            servo_bus.open()
+            return [note for servo in servo_bus.found for note in servo.notes], servo_bus
         finally:
-            chain.close()
+            servo_bus.close()
             assert bus.log.order(1) == before, "nothing was written"
             assert not bus.log.eeprom_writes()
 
 
 @pytest.mark.parametrize("name", ["so101", "koch"])
 def test_a_file_that_lerobot_wrote_passes(name, tmp_path):
-    notes, chain = opened(name, tmp_path)
-    assert chain.found
+    notes, servo_bus = opened(name, tmp_path)
+    assert servo_bus.found
     assert not [note for note in notes if "calibration" in note]
 
 

@@ -13,7 +13,7 @@ KINDS = ["sts", "xm", "xl430", "ex", "rx", "mx"]
 GOAL_ERROR = 500
 
 
-def chain_on(bus, kind, n, patience=0.005):
+def servo_bus_on(bus, kind, n, patience=0.005):
     specs = [
         ServoSpec(
             name=f"joint{i}", model=JOINTS[kind][1], id=i + 1, port=bus.port, lower=-1.0, upper=1.0
@@ -43,18 +43,18 @@ def enable_with_old_goals(kind, fault, index):
 
     The motion is measured until one second after torque on.
     """
-    with Emulator(devices(kind, 2), clock="steps") as bus, chain_on(bus, kind, 2) as chain:
+    with Emulator(devices(kind, 2), clock="steps") as bus, servo_bus_on(bus, kind, 2) as servo_bus:
         for servo in bus.servos:
             servo.put("goal_position", servo.position - GOAL_ERROR if kind != "rx" else 100)
             speeds = {"moving_speed", "profile_velocity", "goal_velocity"}
             for name in speeds & {register.name for register in servo.table}:
                 servo.put(name, 0)
         start = np.array([servo.shaft.angle for servo in bus.servos])
-        goal = chain.read().position
+        goal = servo_bus.read().position
         count = strike(bus, fault, index)
         distances = []
         try:
-            chain.enable(goal, 0.5 * chain.servos.max_torque)
+            servo_bus.enable(goal, 0.5 * servo_bus.servos.max_torque)
         except ServoError:
             assert not any(servo.enabled for servo in bus.servos)
         requests = count[0]
@@ -80,17 +80,17 @@ def test_no_single_lost_packet_switches_torque_on_with_an_old_goal(kind, fault):
 @pytest.mark.parametrize("kind", ["sts", "xm", "mx"])
 def test_torque_that_could_not_be_taken_back_is_said(kind):
     """All packets are lost after the first servo has switched its torque on."""
-    with Emulator(devices(kind, 2), clock="steps") as bus, chain_on(bus, kind, 2) as chain:
-        goal, faults = chain.read().position, bus.lines["main"].faults
+    with Emulator(devices(kind, 2), clock="steps") as bus, servo_bus_on(bus, kind, 2) as servo_bus:
+        goal, faults = servo_bus.read().position, bus.lines["main"].faults
         # Before that, no servo has torque, and silence gives another message.
         faults.chance = lambda: "deaf"
         with pytest.raises(ServoError, match=r"\A(?!.*may still be on)"):
-            chain.enable(goal, 0.5 * chain.servos.max_torque)
+            servo_bus.enable(goal, 0.5 * servo_bus.servos.max_torque)
         faults.chance = lambda: "deaf" if any(servo.enabled for servo in bus.servos) else None
         with pytest.raises(
             ServoError, match=r"(?s)torque may still be on: .*cut the supply"
         ) as error:
-            chain.enable(goal, 0.5 * chain.servos.max_torque)
+            servo_bus.enable(goal, 0.5 * servo_bus.servos.max_torque)
         assert bus.servos[0].enabled
         assert "joint0 did not confirm torque_enable = 0" in str(error.value)
 
@@ -98,8 +98,8 @@ def test_torque_that_could_not_be_taken_back_is_said(kind):
 @pytest.mark.parametrize("kind", ["sts", "xm"])
 def test_a_failure_while_torque_comes_on_says_that_the_arm_falls(kind, monkeypatch):
     """The line fails once the first servo has torque, until torque is switched off again."""
-    with Emulator(devices(kind, 2), clock="steps") as bus, chain_on(bus, kind, 2) as chain:
-        goal, faults = chain.read().position, bus.lines["main"].faults
+    with Emulator(devices(kind, 2), clock="steps") as bus, servo_bus_on(bus, kind, 2) as servo_bus:
+        goal, faults = servo_bus.read().position, bus.lines["main"].faults
         faults.chance = lambda: "deaf" if any(servo.enabled for servo in bus.servos) else None
         switch_off = _enable._try_off
 
@@ -109,11 +109,11 @@ def test_a_failure_while_torque_comes_on_says_that_the_arm_falls(kind, monkeypat
 
         monkeypatch.setattr(_enable, "_try_off", mended)
         with pytest.raises(ServoError, match=r"\ntorque is OFF again in all joints.*falls"):
-            chain.enable(goal, 0.5 * chain.servos.max_torque)
+            servo_bus.enable(goal, 0.5 * servo_bus.servos.max_torque)
         bus.sync()
         assert len(bus.log.writes("torque_enable")) >= 2
         assert not any(servo.enabled for servo in bus.servos)
-        assert not (chain.enabled | chain.torque_unknown | chain.unrestored).any()
+        assert not (servo_bus.enabled | servo_bus.torque_unknown | servo_bus.unrestored).any()
 
 
 def registers(servo):
@@ -130,21 +130,21 @@ def registers(servo):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_registers_are_handed_back_as_they_were_found(emulated, enabled, kind):
-    with emulated(kind, 2, clock="steps", is_open=False) as (bus, chain):
+    with emulated(kind, 2, clock="steps", is_open=False) as (bus, servo_bus):
         for servo in bus.servos:
             for name, value in registers(servo).items():
                 servo.put(name, value - 7 if name in {"torque_limit", "goal_current"} else 3)
         before = [registers(servo) for servo in bus.servos]
-        chain.open()
+        servo_bus.open()
         for _ in range(2):
-            limit = enabled(chain)
-            chain.watchdog(0.2)
+            limit = enabled(servo_bus)
+            servo_bus.watchdog(0.2)
             for k in range(5):
-                chain.read()
-                chain.write([0.01 * k, 0.0], 0.01 * limit, velocity=[0.1, 0.1])
+                servo_bus.read()
+                servo_bus.write([0.01 * k, 0.0], 0.01 * limit, velocity=[0.1, 0.1])
                 bus.advance(0.01)
             assert [registers(servo) for servo in bus.servos] != before
-            chain.disable()
+            servo_bus.disable()
             bus.sync()
             assert [registers(servo) for servo in bus.servos] == before
         assert not bus.log.eeprom_writes()
@@ -152,15 +152,15 @@ def test_registers_are_handed_back_as_they_were_found(emulated, enabled, kind):
 
 @pytest.mark.parametrize("kind", ["sts", "xm", "mx"])
 def test_limits_that_a_killed_program_left_are_not_handed_back(emulated, enabled, kind):
-    with emulated(kind, 1, clock="steps") as (bus, chain):
+    with emulated(kind, 1, clock="steps") as (bus, servo_bus):
         name = {"sts": "torque_limit", "xm": "goal_current", "mx": "torque_limit"}[kind]
         full = bus.servos[0].get(name)
-        limit = enabled(chain)
-        chain.write([0.0], 0.01 * limit, velocity=[0.1])
-        chain.close()  # the torque stays on, as after a killed program
-        chain.open()
-        enabled(chain)
-        chain.disable()
+        limit = enabled(servo_bus)
+        servo_bus.write([0.0], 0.01 * limit, velocity=[0.1])
+        servo_bus.close()  # the torque stays on, as after a killed program
+        servo_bus.open()
+        enabled(servo_bus)
+        servo_bus.disable()
         bus.sync()
         assert bus.servos[0].get(name) == full
 
@@ -178,28 +178,30 @@ def test_lerobot_moves_an_arm_after_pliant_as_before(emulated, enabled):
             servo.write(40, bytes([0]))
         return positions
 
-    with emulated("sts", 2, clock="steps") as (bus, chain):
+    with emulated("sts", 2, clock="steps") as (bus, servo_bus):
         for servo in bus.servos:
             servo.load.torque = -0.5
         before = lerobot(bus, 2300)
         lerobot(bus, 2048)
-        enabled(chain)
-        chain.write([0.0, 0.0], [0.002, 0.002], velocity=[0.01, 0.01])
-        chain.read()
-        chain.disable()
+        enabled(servo_bus)
+        servo_bus.write([0.0, 0.0], [0.002, 0.002], velocity=[0.01, 0.01])
+        servo_bus.read()
+        servo_bus.disable()
         for servo in bus.servos:
             servo.shaft.angle = 2048 * servo.model.count
         assert lerobot(bus, 2300) == pytest.approx(before, abs=2)
 
 
 def test_a_goal_pwm_that_was_left_low_does_not_weaken_a_current_limited_servo(emulated, enabled):
-    with emulated("xm", 1, clock="steps", is_open=False) as (bus, chain):
+    with emulated("xm", 1, clock="steps", is_open=False) as (bus, servo_bus):
         bus.servos[0].put("goal_pwm", 150)
-        chain.open()
-        enabled(chain, share=1.0)
+        servo_bus.open()
+        enabled(servo_bus, share=1.0)
         bus.sync()
-        assert bus.servos[0].drive().ceiling == pytest.approx(chain.servos.max_torque[0], rel=0.01)
-        chain.disable()
+        assert bus.servos[0].drive().ceiling == pytest.approx(
+            servo_bus.servos.max_torque[0], rel=0.01
+        )
+        servo_bus.disable()
         bus.sync()
         assert bus.servos[0].get("goal_pwm") == 150
 
@@ -215,12 +217,12 @@ def test_compliance_that_another_program_left_does_not_weaken_a_servo(
         "ccw_compliance_slope": 254,
         "punch": 900,
     }
-    with emulated(kind, 1, clock="steps", is_open=False) as (bus, chain):
+    with emulated(kind, 1, clock="steps", is_open=False) as (bus, servo_bus):
         (servo,) = bus.servos
         for name, value in registers_left.items():
             servo.put(name, value)
-        chain.open()
-        enabled(chain, share=1.0)
+        servo_bus.open()
+        enabled(servo_bus, share=1.0)
         bus.sync()
         assert servo.drive().dead == servo.model.count
         assert [servo.get(name) for name in registers_left] == [
@@ -229,7 +231,7 @@ def test_compliance_that_another_program_left_does_not_weaken_a_servo(
             servo.get("cw_compliance_slope"),
             punch,
         ]
-        chain.disable()
+        servo_bus.disable()
         bus.sync()
         assert {name: servo.get(name) for name in registers_left} == registers_left
 
@@ -238,52 +240,61 @@ def test_a_pwm_limit_bounds_the_torque_that_is_reported():
     from pliant.emulator import Device
 
     part = Device("XM430-W350", 1, operating_mode=5, return_delay_time=0, pwm_limit=300)
-    with Emulator([part], clock="steps") as bus, chain_on(bus, "xm", 1, patience=0.1) as chain:
-        assert chain.servos.max_torque[0] == pytest.approx(4.1 * 300 / 885, rel=0.01)
-        assert any("PWM Limit" in note and "34%" in note for note in chain.found[0].notes)
-        chain.enable(chain.read().position, chain.servos.max_torque)
+    with (
+        Emulator([part], clock="steps") as bus,
+        servo_bus_on(bus, "xm", 1, patience=0.1) as servo_bus,
+    ):
+        assert servo_bus.servos.max_torque[0] == pytest.approx(4.1 * 300 / 885, rel=0.01)
+        assert any("PWM Limit" in note and "34%" in note for note in servo_bus.found[0].notes)
+        servo_bus.enable(servo_bus.read().position, servo_bus.servos.max_torque)
         bus.sync()
         ceiling = bus.servos[0].drive().ceiling
-        assert ceiling == pytest.approx(chain.servos.max_torque[0], rel=0.01)
+        assert ceiling == pytest.approx(servo_bus.servos.max_torque[0], rel=0.01)
 
 
 @pytest.mark.parametrize("disturbance", ["hum", "echo"])
 @pytest.mark.parametrize("kind", ["sts", "xm", "mx"])
 def test_torque_goes_off_on_a_line_that_is_never_silent(enabled, kind, disturbance):
-    with Emulator(devices(kind, 3), clock="steps") as bus, chain_on(bus, kind, 3, 0.01) as chain:
-        enabled(chain)
+    with (
+        Emulator(devices(kind, 3), clock="steps") as bus,
+        servo_bus_on(bus, kind, 3, 0.01) as servo_bus,
+    ):
+        enabled(servo_bus)
         getattr(bus, disturbance)()
         # The error says that torque off is not confirmed; with an echo there may be none.
         failed = False
         try:
-            chain.disable()
+            servo_bus.disable()
         except ServoError:
             failed = True
         bus.sync()
         assert not any(servo.enabled for servo in bus.servos)
         # Torque that is not confirmed off is unknown, and counts as on.
-        assert chain.torque_unknown.any() is np.bool_(failed)
-        assert np.array_equal(chain.enabled, chain.torque_unknown)
-        assert (chain.unrestored | ~chain.torque_unknown).all()
+        assert servo_bus.torque_unknown.any() is np.bool_(failed)
+        assert np.array_equal(servo_bus.enabled, servo_bus.torque_unknown)
+        assert (servo_bus.unrestored | ~servo_bus.torque_unknown).all()
         getattr(bus, disturbance)(False)
-        chain.disable()
-        assert not (chain.enabled | chain.torque_unknown | chain.unrestored).any()
+        servo_bus.disable()
+        assert not (servo_bus.enabled | servo_bus.torque_unknown | servo_bus.unrestored).any()
 
 
 @pytest.mark.parametrize("disturbance", ["hum", "echo"])
 @pytest.mark.parametrize("kind", ["sts", "xm", "mx"])
 def test_a_line_that_is_never_silent_is_reported_at_open(kind, disturbance):
     # Noise comes every 5 ms, and a fifth of the reply timeout without it counts as silence.
-    with Emulator(devices(kind, 3), clock="steps") as bus, chain_on(bus, kind, 3, 0.05) as chain:
-        chain.close()
+    with (
+        Emulator(devices(kind, 3), clock="steps") as bus,
+        servo_bus_on(bus, kind, 3, 0.05) as servo_bus,
+    ):
+        servo_bus.close()
         getattr(bus, disturbance)()
         with pytest.raises(ServoError, match=r"never silent|echo") as error:
-            chain.open()
+            servo_bus.open()
         assert "id of its own" not in str(error.value)
         assert "Two servos on one id" not in str(error.value)
         getattr(bus, disturbance)(False)
-        chain.open()
-        assert chain.read().ok.all()
+        servo_bus.open()
+        assert servo_bus.read().ok.all()
 
 
 @pytest.mark.parametrize(
@@ -314,9 +325,9 @@ def test_a_signal_while_torque_comes_on_does_not_drop_an_arm_that_hangs_on_it(
 
     monkeypatch.setattr(_enable, "_set", interrupted)
     monkeypatch.setattr(_enable, "_check_still", check)
-    with Emulator(devices(kind, 2), clock="steps") as bus, chain_on(bus, kind, 2) as chain:
+    with Emulator(devices(kind, 2), clock="steps") as bus, servo_bus_on(bus, kind, 2) as servo_bus:
         with pytest.raises((KeyboardInterrupt, SystemExit)):
-            chain.enable(chain.read().position, 0.5 * chain.servos.max_torque)
+            servo_bus.enable(servo_bus.read().position, 0.5 * servo_bus.servos.max_torque)
         assert [servo.enabled for servo in bus.servos] == expected
-        chain.disable()
+        servo_bus.disable()
         assert not any(servo.enabled for servo in bus.servos)

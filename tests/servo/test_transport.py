@@ -199,35 +199,35 @@ def test_of_replies_that_are_not_all_valid_no_reading_is_stored():
 @pytest.mark.parametrize(("kind", "requests"), [("sts", 2), ("mx", 4), ("xm", 3)])
 def test_status_comes_with_readings_where_it_is_near(emulated, enabled, kind, requests):
     n = 3
-    with emulated(kind, n, clock="steps") as (bus, chain):
-        limit = enabled(chain)
+    with emulated(kind, n, clock="steps") as (bus, servo_bus):
+        limit = enabled(servo_bus)
         seen, cycles = {}, 4 * n
         for cycle in range(cycles):
             if cycle == n:
-                before = chain.counters["transactions"]
+                before = servo_bus.counters["transactions"]
                 limit = 0.5 * limit
-            chain.read()
-            chain.write(np.zeros(n), limit)
-            status = chain.poll_status()
+            servo_bus.read()
+            servo_bus.write(np.zeros(n), limit)
+            status = servo_bus.poll_status()
             bus.advance(0.01)
             if status is not None:
                 seen[status.name] = status
-        transactions = chain.counters["transactions"] - before
+        transactions = servo_bus.counters["transactions"] - before
         # Protocol 2.0 has the registers far apart: a request for the status in each cycle.
         assert transactions == pytest.approx(
             requests * (cycles - n), abs=0.4 * cycles if kind == "xm" else 0
         )
         if kind != "xm":
-            assert list(seen) == list(chain.names)
+            assert list(seen) == list(servo_bus.names)
             limits = [status.limit for status in seen.values()]
             assert limits == pytest.approx(limit, rel=0.05)
-        assert chain.counters["mismatches"] == 0
+        assert servo_bus.counters["mismatches"] == 0
         bus.servo(2).put("torque_enable", 0)
         faults = ()
         for _ in range(2 * n):
-            chain.read()
-            chain.write(np.zeros(n), limit)
-            faults += getattr(chain.poll_status(), "faults", ())
+            servo_bus.read()
+            servo_bus.write(np.zeros(n), limit)
+            faults += getattr(servo_bus.poll_status(), "faults", ())
             bus.advance(0.01)
         # Dynamixel servos switch torque on again with the next goal.
         assert "torque went off by itself" in " ".join(faults) or kind != "sts"

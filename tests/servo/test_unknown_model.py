@@ -39,23 +39,23 @@ def bus():
 
 def test_the_error_names_the_number_and_the_line_that_mends_it(bus):
     arm_config = config.parse(TOML.format(port=bus.port, more=""))
-    chain = factory.make_bus(arm_config, {"main": bus.port})
+    servo_bus = factory.make_bus(arm_config, {"main": bus.port})
     with pytest.raises(pliant.ServoError, match=f"model number {NUMBER}, which is in no") as error:
-        chain.open()
+        servo_bus.open()
     line = re.search(r"add `(.*?)`", str(error.value))[1]
     mended = config.parse(TOML.format(port=bus.port, more=f", {line}"))
-    with factory.make_bus(mended, {"main": bus.port}) as chain:
-        assert [info.model for info in chain.found] == ["XL430-W250"] * 5
+    with factory.make_bus(mended, {"main": bus.port}) as servo_bus:
+        assert [info.model for info in servo_bus.found] == ["XL430-W250"] * 5
 
 
 def test_the_values_of_the_file_replace_those_of_the_model(bus):
     arm_config = config.parse(TOML.format(port=bus.port, more=MODEL_FIELDS))
     assert arm_config.model().servos.max_torque == pytest.approx(2.8)
-    with factory.make_bus(arm_config, {"main": bus.port}) as chain:
-        spec = chain.specs[0]
+    with factory.make_bus(arm_config, {"main": bus.port}) as servo_bus:
+        spec = servo_bus.specs[0]
         assert (spec.row.model_number, spec.row.voltage) == (NUMBER, (9.0, 15.0))
         assert spec.row.no_load == ((spec.row.rated, 70.0),)
-        copy = pickle.loads(pickle.dumps(chain.closed_copy()))  # as the guardian gets it
+        copy = pickle.loads(pickle.dumps(servo_bus.closed_copy()))  # as the guardian gets it
         assert copy.specs[0].row.model_number == NUMBER
     bus.supply(8.0)
     with (
@@ -79,8 +79,8 @@ def test_the_emulator_answers_with_the_number_of_the_file():
     text = TOML.format(port="auto", more=MODEL_FIELDS)
     with factory.make_emulator(config.parse(text, backend="emulator"), clock="steps") as emulated:
         arm_config = config.parse(text, port=emulated.port)
-        with factory.make_bus(arm_config, {"main": emulated.port}) as chain:
-            assert len(chain.found) == 5
+        with factory.make_bus(arm_config, {"main": emulated.port}) as servo_bus:
+            assert len(servo_bus.found) == 5
 
 
 @pytest.mark.parametrize(
