@@ -84,18 +84,18 @@ def under(conditions: Conditions) -> Mismatch:
 
 
 class Mismatch:
-    """Context manager that checks the objects created in its block against the stated parameters.
+    """Context manager that compares plants and controllers created in its block with the statement.
 
     Attributes:
         plant, assumed: Parameters of the two sides.
-        plants: Plants made in the block.
-        consumers: Controllers, arms, identifications and hand guidings made in the block.
+        plants: Plants created in the block.
+        consumers: Controllers, arms, identifications and hand guidings created in the block.
     """
 
     def __init__(
         self, *, plant: Parameters, assumed: Parameters, compared: tuple[str, ...] = NUMBERS
     ) -> None:
-        """State both sides; only the parameters named in `compared` are compared.
+        """State the parameters of both sides; `compared` names those to compare in the end.
 
         Raises:
             AssertionError: The two sides are equal.

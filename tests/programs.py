@@ -1,9 +1,9 @@
-"""Programs in separate processes that need not import the package again.
+"""Programs in separate processes that start faster, because they do not import the package again.
 
-A server process imports the package, and forks for each program. A fork is like `python -c CODE`,
-`python FILE` or `python -m MODULE`: it has its own `sys.argv`, working folder, environment,
-standard streams and signal handlers, and it ends like an interpreter, with traceback and exit code.
-It cannot draw with OpenGL, whose threads do not survive a fork.
+A server process imports the package, and forks for each program. The fork behaves like
+`python -c CODE`, `python FILE` or `python -m MODULE`: it has its own `sys.argv`, working folder,
+environment, standard streams and signal handlers, and ends with traceback and exit code. It cannot
+draw with OpenGL, whose threads do not survive a fork.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ MODULES = (
     *("numpy", "mujoco", "rustypot", "pydantic", "rich.console", "tyro", "pliant", "pliant.arm"),
     *("pliant.cli", "pliant.config.factory", "pliant.emulator", "pliant.servo", "pliant.sim"),
 )
-#: Largest request [byte], and period of the checks for the end of a program [s].
-SIZE, LOOK = 1 << 18, 0.005
+#: Largest request [byte], and period at which the server checks for the end of a program [s].
+REQUEST_SIZE, POLL_PERIOD = 1 << 18, 0.005
 
 
 def serve(number: int) -> Any:
@@ -39,10 +39,10 @@ def serve(number: int) -> Any:
     for name in MODULES:
         with suppress(ImportError):  # if an extra is not installed
             importlib.import_module(name)
-    gc.freeze()  # a fork does not touch, and so not copy, the memory of the modules
+    gc.freeze()  # otherwise a collection in a fork would copy the memory of the modules
     with socket.socket(fileno=number) as line:
         while True:
-            data, files, _, _ = socket.recv_fds(line, SIZE, 3)
+            data, files, _, _ = socket.recv_fds(line, REQUEST_SIZE, 3)
             if not data:
                 os._exit(0)
             request = pickle.loads(data)
@@ -110,7 +110,7 @@ def _ask(request: Any, files: tuple[int, ...] = ()) -> Any:
     line, lock = _server()
     with lock:
         socket.send_fds(line, [pickle.dumps(request)], files)
-        return pickle.loads(line.recv(SIZE))
+        return pickle.loads(line.recv(REQUEST_SIZE))
 
 
 class Program:
@@ -179,7 +179,7 @@ class Program:
         while self.poll() is None:
             if time.monotonic() > deadline:
                 raise subprocess.TimeoutExpired(f"process {self.pid}", timeout)
-            time.sleep(LOOK)
+            time.sleep(POLL_PERIOD)
         assert self.returncode is not None
         return self.returncode
 
@@ -199,7 +199,7 @@ class Program:
             reader.join(max(deadline - time.monotonic(), 0.0))
             if reader.is_alive():
                 raise subprocess.TimeoutExpired(f"process {self.pid}", timeout)
-        self.wait(max(deadline - time.monotonic(), LOOK))
+        self.wait(max(deadline - time.monotonic(), POLL_PERIOD))
         self._close()
         return output[self.stdout], output[self.stderr]
 

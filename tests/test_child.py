@@ -14,7 +14,7 @@ POSIX = os.name == "posix"
 
 @pytest.fixture
 def ends(monkeypatch):
-    """Return both ends of a socket; set the working folder to this one, so that children start."""
+    """Return both ends of a socket; change to this folder, where the children are."""
     monkeypatch.chdir(Path(__file__).parent)
     local, remote = socket.socketpair()
     local.settimeout(60.0)

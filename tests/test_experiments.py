@@ -1,4 +1,4 @@
-"""Code that the experiments share: jobs for other processes, workers, search for robot files."""
+"""Common code of the experiments: jobs in other processes, and the search for robot files."""
 
 import importlib
 import re
@@ -20,7 +20,7 @@ from experiments import arms, runner
 from experiments.runner import run_jobs
 
 FOLDER = Path(experiments.__file__).parent
-#: Options with which a module lists few jobs, so that it takes less than a second.
+#: By module: options with which it lists few jobs, so that it takes less than a second.
 SHORT_OPTIONS = {"descent": ["--arm", "so101", "--poses", "1"]}
 
 
@@ -63,7 +63,7 @@ class Square:
 
 
 class ListOnly(ThreadingBackend):
-    """A backend that returns a list only, as Ray's does."""
+    """A joblib backend without generators as results, like that of Ray."""
 
     supports_return_generator = False
 

@@ -18,12 +18,12 @@ TEXT = (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8")
 ROWS = [line for line in TEXT.splitlines() if line.startswith("| ")]
 #: Words in backticks in the first column of the glossary's tables.
 TERMS = {word for row in ROWS for word in re.findall(r"`([^`]+)`", row.split("|")[1])}
-#: Options that need no entry: they are self-explanatory, or explained with their class.
+#: Options without an entry: they are self-explanatory, or the docstring of their class has them.
 SELF_EXPLAINING = {"grippers", "handle_signals", "power_budget", "rate", "table", "watchdog"}
 
 
 def words_of(*objects: object) -> set[str]:
-    """Return the public names of these classes and modules."""
+    """Return the names of public members and arguments of these classes and modules."""
     words = set()
     for item in objects:
         words |= {name for name in dir(item) if not name.startswith("_")}

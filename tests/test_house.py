@@ -42,7 +42,7 @@ def run(*args: str, cwd: Path, **environment: str) -> subprocess.CompletedProces
 
 
 def run_program(script: Path, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
-    """Run a script in a separate process; only one that draws with OpenGL imports everything."""
+    """Run a script in a fork of the test server, or, if it draws with OpenGL, in a new process."""
     if "render" in script.read_text(encoding="utf-8"):
         return run(str(script), cwd=cwd, **environment)
     environment = {**os.environ, "MPLBACKEND": "Agg", **environment}
@@ -73,12 +73,12 @@ def python_blocks(text: str) -> list[str]:
 
 
 def documents() -> list[Path]:
-    """Return README and pages with Python to run."""
+    """Return those of the README and the pages that contain Python code to run."""
     files = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
     return [p for p in files if p.exists() and python_blocks(p.read_text(encoding="utf-8"))]
 
 
-# The blocks of a document run one after the other with common variables.
+# The blocks of a document run as one script, so that later ones see the variables of earlier ones.
 @pytest.mark.slow
 @pytest.mark.parametrize("document", documents(), ids=lambda path: path.stem)
 def test_python_in_documents_runs(document, tmp_path):
@@ -113,17 +113,17 @@ def test_gallery_is_of_this_example(example):
     assert output, "it prints nothing"
 
 
-#: Examples whose output is compared with the gallery: they take a second or two, and their output
-#: does not depend on the machine.
-AGAIN = ("01", "02", "03", "04", "05", "06", "07", "08", "09", "11", "13", "14", "15", "16")
+#: Numbers of examples whose output is compared with the gallery: they take a second or two, and
+#: their output does not depend on the machine.
+COMPARED = ("01", "02", "03", "04", "05", "06", "07", "08", "09", "11", "13", "14", "15", "16")
 SHORT = [
-    pytest.param(path, id=path.stem, marks=pytest.mark.full if path.stem[:2] in AGAIN else ())
+    pytest.param(path, id=path.stem, marks=pytest.mark.full if path.stem[:2] in COMPARED else ())
     for path in EXAMPLES
 ]
 
 
-# PLIANT_SHORT=1 selects the shortest run that still does everything once. Examples in AGAIN are run
-# in full by another test.
+# PLIANT_SHORT=1 selects the shortest run that still does everything once. Another test runs the
+# examples in COMPARED in full.
 @pytest.mark.slow
 @pytest.mark.parametrize("example", SHORT)
 def test_example_runs(example, tmp_path):
@@ -134,16 +134,16 @@ def test_example_runs(example, tmp_path):
 NUMBER = re.compile(r"[-+−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 
 
-def near(first: str, second: str) -> bool:
-    """Return True if two printed numbers agree: within 5 %, or within one of the last digit."""
+def agrees(first: str, second: str) -> bool:
+    """Return True if two printed numbers agree to 5 %, or to one unit of the last digit."""
     x, y = (float(text.replace("−", "-")) for text in (first, second))
     digit = 10.0 ** -len(first.partition(".")[2].partition("e")[0])
     return abs(x - y) <= max(0.05 * abs(x), 1.01 * digit)
 
 
-# The test of digests detects a changed example; this test detects changed behaviour.
+# The digest of the gallery detects a changed example; this test detects changed behaviour.
 @pytest.mark.slow
-@pytest.mark.parametrize("number", AGAIN)
+@pytest.mark.parametrize("number", COMPARED)
 def test_gallery_is_of_this_law(number, tmp_path):
     (example,) = (ROOT / "examples").glob(f"{number}_*.py")
     stored = (ROOT / "docs" / "gallery" / f"{example.stem}.txt").read_text(encoding="utf-8")
@@ -154,7 +154,7 @@ def test_gallery_is_of_this_law(number, tmp_path):
     numbers = [NUMBER.findall(text) for text in outputs]
     stale = f"{example.name} says something else now: make gallery ARGS={number}\n{result.stdout}"
     assert tokens[0] == tokens[1], stale
-    assert all(near(a, b) for a, b in zip(*numbers, strict=True)), stale
+    assert all(agrees(a, b) for a, b in zip(*numbers, strict=True)), stale
 
 
 def test_vector_types_are_seen_by_the_module_that_enters_their_code_alone():
@@ -180,8 +180,8 @@ def test_memory_of_numpy_arrays_is_lent_by_unsafe_functions_alone():
     assert all(s.startswith(("unsafe fn", "pub(crate) unsafe fn")) for s in lenders), lenders
 
 
-def built(pattern: str) -> Path:
-    """Return the path of the file that `make wheel` has built."""
+def built_file(pattern: str) -> Path:
+    """Return the path of the file in build/wheels that matches the pattern; skip without one."""
     files = sorted((ROOT / "build" / "wheels").glob(pattern))
     if not files:
         pytest.skip(f"no {pattern} in build/wheels: run `make wheel`")
@@ -190,7 +190,7 @@ def built(pattern: str) -> Path:
 
 @pytest.fixture
 def wheel() -> Path:
-    return built("pliant-*.whl")
+    return built_file("pliant-*.whl")
 
 
 def test_wheel_is_complete_and_small(wheel):
@@ -239,7 +239,7 @@ def test_wheel_works_away_from_the_sources(wheel, tmp_path):
 
 
 def test_source_distribution_can_be_built(wheel):
-    archive = built("pliant-*.tar.gz")
+    archive = built_file("pliant-*.tar.gz")
     with tarfile.open(archive) as tar:
         names = {name.partition("/")[2] for name in tar.getnames()}
     required = {"Cargo.toml", "Cargo.lock", "pyproject.toml", "LICENSE", "README.md"}

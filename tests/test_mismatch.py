@@ -1,6 +1,6 @@
 """Experiments with wrong assumptions: the controller must not get the plant's true parameters.
 
-Each experiment, example or documented row runs up to its first tick of physics; then its plant is
+Each experiment, example or documented row runs up to its first physics step. Then its plant is
 compared with the inputs of its controller, arm or identification.
 """
 
@@ -42,14 +42,14 @@ EXAMPLES = Path(__file__).parents[1] / "examples"
 GEARS = campaign.REAL_GEARS["arm7"]
 
 
-class Built(Exception):
-    """Raised at the first tick of physics, when plant and controller have been built."""
+class FirstStep(Exception):
+    """Raised in the first physics step, when plant and controller exist."""
 
 
 def build(gap, run):
-    """Run until the first tick of physics, and compare plant and assumptions with `gap`."""
-    begins = patch.object(Plant, "advance", side_effect=Built)
-    with gap, begins, pytest.raises(Built):
+    """Run until the first physics step, and compare plant and assumptions with `gap`."""
+    begins = patch.object(Plant, "advance", side_effect=FirstStep)
+    with gap, begins, pytest.raises(FirstStep):
         run()
     for arm in gap.consumers:
         if isinstance(arm, Arm):
@@ -83,7 +83,7 @@ def stress_gap(conditions):
 
 
 def cases():
-    """Return name, mismatch and function to run of each case."""
+    """Yield the cases: name, stated mismatch, and function that runs the experiment."""
     for options in (
         {"load": lifecycle.LOAD},
         {"load": lifecycle.LOAD, "over_table": True, "ticks": 1},

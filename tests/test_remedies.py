@@ -35,7 +35,7 @@ MODULES = [pliant] + [
         *("emulator", "servo", "sim", "teach", "view"),
     )
 ]
-#: By variable name in error texts: classes of the objects that it stands for.
+#: Variable names in error texts, and the classes of the objects that they stand for.
 OBJECTS = {
     "arm": import_module("pliant.arm").Arm,
     "controller": pliant.Controller,
@@ -54,18 +54,18 @@ OBJECTS = {
     "found": import_module("pliant.identify").GravityCapture,
     "array": np.ma.MaskedArray,
 }
-#: Words that follow "pliant" in the sentences of error texts and are not commands.
+#: Words after "pliant" in error texts that are not commands.
 NOT_COMMANDS = {"arm", "counts", "does", "motion", "reads", "task", "was"}
-#: `UNITS`: texts in brackets that are units or markup tags of rich, not tables of a configuration.
-#: `BESIDE_SECTION`: words that may follow the name of a table in a sentence.
+#: Units and markup tags of rich, which are in brackets like the tables of a configuration.
 UNITS = {"m", "mm", "ms", "kg", "rad", "s", "bold", "dim", "green", "red", "yellow"}
+#: Words that may follow the name of a table in a sentence.
 BESIDE_SECTION = {"a", "and", "in", "of", "the"}
 #: Values that replace the placeholders of a command.
 PLACEHOLDERS = {"ARM": "so101", "OLD:NEW": "1:2"}
 
 
 def python_texts(path: Path) -> list[str]:
-    """Return the texts in a module, without docstrings; fields of f-strings become "..."."""
+    """Return the string literals of a module except docstrings; f-string fields become "..."."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
     docs, parts, texts = set(), set(), []
     for node in ast.walk(tree):
@@ -112,7 +112,7 @@ def rust_texts(path: Path) -> list[str]:
 
 @cache
 def texts() -> dict[str, str]:
-    """Return all texts of the package, and the file of each text."""
+    """Return the string literals of the package, with the file of each."""
     python = sorted((ROOT / "python" / "pliant").rglob("*.py"))
     rust = sorted(
         path for crate in ("core", "py") for path in (ROOT / "rust" / crate / "src").rglob("*.rs")
@@ -125,8 +125,11 @@ def texts() -> dict[str, str]:
     return result
 
 
-def wrong(find, judge) -> list[str]:
-    """Return the texts with a remedy, found by `find`, for which `judge` returns False."""
+def invalid_remedies(find, judge) -> list[str]:
+    """Return the texts that name a remedy that does not exist.
+
+    `find` returns the remedies in a text, `judge` whether one exists.
+    """
     return [
         f"{file}: {remedy!r} in {text!r}"
         for text, file in texts().items()
@@ -175,7 +178,7 @@ def commands(text: str, _file: str) -> list[str]:
 
 
 def is_command(text: str) -> bool:
-    """Return True if a command accepts these words: its flags exist, and its first argument."""
+    """Return True if a command exists with the flags and the first argument in this text."""
     command, arguments = command_of(text.split())
     if text.split(maxsplit=1)[0] in NOT_COMMANDS:
         return True
@@ -191,7 +194,7 @@ def is_command(text: str) -> bool:
 def test_commands_exist_with_their_flags():
     candidates = [words for text, file in texts().items() for words in commands(text, file)]
     assert len([words for words in candidates if command_of(words.split())[0]]) > 20
-    assert wrong(commands, is_command) == []
+    assert invalid_remedies(commands, is_command) == []
 
 
 def quoted_commands(text: str, _file: str) -> list[str]:
@@ -199,7 +202,7 @@ def quoted_commands(text: str, _file: str) -> list[str]:
 
 
 def is_accepted(text: str) -> bool:
-    """Return True if a command parses as written; it is not executed."""
+    """Return True if the parser of a command accepts it as written; the command does not run."""
     command, arguments = command_of([PLACEHOLDERS.get(token, token) for token in text.split()])
     if not command:
         return False
@@ -225,7 +228,7 @@ def is_accepted(text: str) -> bool:
 
 
 def test_quoted_commands_are_taken_by_the_shell(capsys):
-    assert wrong(quoted_commands, is_accepted) == [], capsys.readouterr().err
+    assert invalid_remedies(quoted_commands, is_accepted) == [], capsys.readouterr().err
 
 
 def flags_of(text: str, file: str) -> list[tuple[str, str]]:
@@ -247,11 +250,11 @@ def is_flag(remedy: tuple[str, str]) -> bool:
 
 
 def test_flags_exist():
-    assert wrong(flags_of, is_flag) == []
+    assert invalid_remedies(flags_of, is_flag) == []
 
 
 def members(name: str) -> list[object]:
-    """Return all members with a name: of a public module, or of a class in a public module."""
+    """Return the objects with this name in the public modules and in their classes."""
     matches = [getattr(module, name) for module in MODULES if hasattr(module, name)]
     classes = {
         item for module in MODULES for item in vars(module).values() if isinstance(item, type)
@@ -330,7 +333,7 @@ def takes(item: object, arguments: str) -> bool:
 
 
 def needs_object(item: object) -> bool:
-    """Return True if a function of a class is a method that needs an object."""
+    """Return True if a function must be called on an instance of a class."""
     if inspect.isfunction(item):
         return "." in item.__qualname__
     return inspect.ismethoddescriptor(item) and type(item).__name__ == "method_descriptor"
@@ -345,7 +348,7 @@ def is_callable_so(call: tuple[str, str]) -> bool:
 def test_calls_exist_with_their_keywords():
     candidates = [call for text, file in texts().items() for call in calls(text, file)]
     assert len(candidates) > 60
-    assert wrong(calls, is_callable_so) == []
+    assert invalid_remedies(calls, is_callable_so) == []
 
 
 OPEN = re.compile(
@@ -354,7 +357,7 @@ OPEN = re.compile(
 
 
 def examples(text: str, _file: str) -> list[str]:
-    """Return the complete calls in a text that can be run without an object of the user."""
+    """Return the complete calls in a text that run without an object of the user."""
     candidates = [f"{name}({arguments})" for name, arguments in CALL.findall(text)]
     return [
         call for call in candidates if not OPEN.search(call) and not is_method(call.split("(")[0])
@@ -398,7 +401,7 @@ def runs(call: str) -> bool:
 def test_examples_run():
     candidates = [call for text, file in texts().items() for call in examples(text, file)]
     assert len(candidates) > 8
-    assert wrong(examples, runs) == []
+    assert invalid_remedies(examples, runs) == []
 
 
 def accepted(text: str, _file: str) -> list[str]:
@@ -406,21 +409,21 @@ def accepted(text: str, _file: str) -> list[str]:
 
 
 def is_risk(risk: str) -> bool:
-    """Return True if a setting exists that accepts the risk with this name."""
+    """Return True if `Settings` or `ContactEstimator` has a flag of this name."""
     controller = pliant.Controller(pliant.robots.so101(), pliant.Settings(task="xyz"))
-    for take in (
+    for make in (
         lambda: pliant.Settings(**{risk: True}),
         lambda: pliant.ContactEstimator(controller, **{risk: True}),
     ):
         with contextlib.suppress(pliant.ConfigError, TypeError):
-            take()
+            make()
             return True
     return False
 
 
 def test_risks_that_texts_name_can_be_accepted():
     assert [risk for text, file in texts().items() for risk in accepted(text, file)]
-    assert wrong(accepted, is_risk) == []
+    assert invalid_remedies(accepted, is_risk) == []
 
 
 @cache
@@ -452,7 +455,7 @@ def is_keyword(name: str) -> bool:
 
 
 def bare_keywords(text: str, file: str) -> list[str]:
-    # Ignore what is not a keyword argument: attributes of a URDF, and the axis in `--soft y=2`.
+    # Attributes of a URDF, and the axis in `--soft y=2`, are not keyword arguments.
     if file.startswith("rust/core/src/model/") or "--soft" in text:
         return []
     return re.findall(r"(?<![\w.{])([a-z_]{2,})=(?![=>])", CALL.sub("", text))
@@ -461,7 +464,7 @@ def bare_keywords(text: str, file: str) -> list[str]:
 def test_keywords_exist():
     candidates = [key for text, file in texts().items() for key in bare_keywords(text, file)]
     assert len(candidates) > 10
-    assert wrong(bare_keywords, is_keyword) == []
+    assert invalid_remedies(bare_keywords, is_keyword) == []
 
 
 def dotted_names(text: str, _file: str) -> list[str]:
@@ -478,7 +481,7 @@ def is_dotted_name(name: str) -> bool:
 
 
 def test_names_and_pages_exist():
-    assert wrong(dotted_names, is_dotted_name) == []
+    assert invalid_remedies(dotted_names, is_dotted_name) == []
 
 
 def sections(text: str, _file: str) -> list[tuple[str, str]]:
@@ -510,7 +513,7 @@ def is_section(pair: tuple[str, str]) -> bool:
 def test_sections_and_keys_of_a_configuration_exist():
     candidates = [pair for text, file in texts().items() for pair in sections(text, file)]
     assert len(candidates) > 8
-    assert wrong(sections, is_section) == []
+    assert invalid_remedies(sections, is_section) == []
 
 
 def test_extras_exist():
@@ -551,4 +554,4 @@ def test_extras_exist():
 )
 def test_a_remedy_that_does_not_exist_is_found(text, find, judge, monkeypatch):
     monkeypatch.setitem(globals(), "texts", lambda: {text: "python/pliant/cli/run.py"})
-    assert len(wrong(find, judge)) == 1
+    assert len(invalid_remedies(find, judge)) == 1

@@ -10,7 +10,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 TEXT = (ROOT / "docs" / "security.md").read_text(encoding="utf-8")
 REFERENCES = sorted(set(re.findall(r"`([\w/]+\.(?:py|rs))::(\w+)`", TEXT)))
-#: Unsafe blocks, functions and trait implementations; no attributes and no comments.
+#: Pattern of unsafe blocks, functions and trait implementations, without attributes and comments.
 UNSAFE = re.compile(r"^(?!\s*//).*\bunsafe (?:\{|fn|impl|extern)", re.MULTILINE)
 
 

@@ -76,7 +76,7 @@ def test_a_wrong_stiffness_costs_lag_and_sag_only(kp):
     assert others < math.radians(6.0)  # the wrong stiffness makes the arm sag
 
 
-def pushed(axis, force, max_force):
+def push_tool(axis, force, max_force):
     """Push the tool for 1.5 s; return its motion.
 
     Returns:
@@ -104,10 +104,10 @@ def pushed(axis, force, max_force):
 def test_a_push_above_the_force_and_friction_moves_the_arm(axis):
     """The arm resists a push below `max_force`, yields to a larger one, and returns slowly."""
     force = 2.0
-    stiff, _, _ = pushed(axis, 0.8 * force, math.inf)
-    small, _, _ = pushed(axis, 0.8 * force, force)
-    largest, final, speed = pushed(axis, 3.0 * force, force)
-    stiff_yielded, _, _ = pushed(axis, 3.0 * force, math.inf)
+    stiff, _, _ = push_tool(axis, 0.8 * force, math.inf)
+    small, _, _ = push_tool(axis, 0.8 * force, force)
+    largest, final, speed = push_tool(axis, 3.0 * force, force)
+    stiff_yielded, _, _ = push_tool(axis, 3.0 * force, math.inf)
     assert small < 1.2 * stiff + 0.002
     assert largest > 1.5 * stiff_yielded
     assert final < 0.01

@@ -53,7 +53,7 @@ def switches(bus, id):
     return [step for step in bus.log.order(id) if step.startswith("torque")]
 
 
-def unknown(load):
+def unknown_load(load):
     """Return the `Mismatch` of an arm whose model lacks a load [kg]."""
     return Mismatch(plant=Parameters(payload=load), assumed=Parameters(), compared=("payload",))
 
@@ -255,7 +255,7 @@ def test_lowered_in_place_of_a_program_that_never_returns():
 def test_an_unknown_load_sinks_and_is_brought_back_slowly():
     q, tools = [0.0, 0.5, 0.2, 0.2, 0.0], []
     with (
-        unknown(0.3),
+        unknown_load(0.3),
         arm_over_bytes("sts", q, plant={"payload": (0.3, (0.0, 0.0, 0.0))}) as (bus, arm),
     ):
 
@@ -278,7 +278,7 @@ def test_an_unknown_load_sinks_and_is_brought_back_slowly():
 def test_what_is_in_the_way_of_a_descent_feels_no_more_than_15_newtons(family, pose):
     # Without the bound on the speed of heavy points, these arms would press with 17.8 and 19.2 N.
     q = bus_lower.poses(family, 6)[pose]
-    with unknown(LOAD):
+    with unknown_load(LOAD):
         run = bus_lower.lower(family, q, load=LOAD, over_table=True)
     assert run.force < 15.0
     assert run.speed < 0.18

@@ -13,19 +13,19 @@ from experiments.campaign import DISTURBANCES, UNDISTURBED, Bench, campaign_jobs
 POSES = range(1, 3)
 
 
-def tried(arm, disturbance, poses):
+def measure_caps(arm, disturbance, poses):
     bench = Bench(load(arm), disturbance)
     positions = bench.arm.poses(max(poses) + 1)
     return [promise for pose in poses for promise in bench.promises(pose, positions[pose])]
 
 
-def ran(promises):
+def not_refused(promises):
     return [one for one in promises if not one.refused]
 
 
 @pytest.fixture(scope="module")
 def nominal():
-    return tried("arm7", UNDISTURBED, POSES)
+    return measure_caps("arm7", UNDISTURBED, POSES)
 
 
 def test_caps_of_arm7_are_those_of_the_protocol():
@@ -46,15 +46,15 @@ def test_a_refusal_is_proven_by_the_limits(nominal):
 
 
 def test_every_cap_is_kept_where_joints_are_clear_of_their_stops(nominal):
-    clear = [one for one in ran(nominal) if one.room >= table.CLEAR]
+    clear = [one for one in not_refused(nominal) if one.room >= table.CLEAR]
     assert len(clear) > 30  # measured 56
     assert np.mean([one.kept for one in clear]) >= 0.97  # measured 1.0
     assert np.median([abs(one.error) for one in clear]) < 0.06
 
 
 def test_what_no_stop_was_announced_for_is_kept(nominal):
-    announced = [one for one in ran(nominal) if one.announced]
-    rest = [one for one in ran(nominal) if not one.announced]
+    announced = [one for one in not_refused(nominal) if one.announced]
+    rest = [one for one in not_refused(nominal) if not one.announced]
     assert len(rest) > 60
     assert np.mean([one.kept for one in rest]) >= 0.97  # measured 1.0
     assert np.mean([not one.kept for one in announced]) > 0.1
@@ -71,13 +71,21 @@ def test_what_no_stop_was_announced_for_is_kept(nominal):
     ids=lambda one: one.name.split(",")[0].replace("×", "x"),
 )
 def test_caps_hold_under_what_the_controller_knows_or_can_bear(disturbance):
-    promises = [one for one in ran(tried("arm7", disturbance, [2])) if one.room >= table.CLEAR]
+    promises = [
+        one
+        for one in not_refused(measure_caps("arm7", disturbance, [2]))
+        if one.room >= table.CLEAR
+    ]
     assert np.mean([one.kept for one in promises]) >= 0.95
 
 
 @pytest.mark.parametrize("arm", ["so101", "koch"])
 def test_small_arms_keep_their_caps(arm):
-    clear = [one for one in ran(tried(arm, UNDISTURBED, range(1))) if one.room >= table.CLEAR]
+    clear = [
+        one
+        for one in not_refused(measure_caps(arm, UNDISTURBED, range(1)))
+        if one.room >= table.CLEAR
+    ]
     assert np.mean([one.kept for one in clear]) >= 0.90
 
 
@@ -104,7 +112,7 @@ def test_a_promise_repeats():
 
 @pytest.mark.full
 def test_nominal_campaign_in_full():
-    promises = tried("arm7", UNDISTURBED, range(200))
+    promises = measure_caps("arm7", UNDISTURBED, range(200))
     row = table.summary("arm7", "nominal", promises)
     assert row.kept_rest >= 0.99  # measured 0.997
     assert row.announced < 0.06  # measured 0.040

@@ -17,7 +17,7 @@ PLACES = (0.005, 0.02, 0.04, 0.055, 0.07, 0.09, 0.11, 0.13)  # [m]
 NEARLY = [NOMINAL, *(Conditions(delay=(1, 1), believed=share) for share in (0.7, 1.3))]
 
 
-def wanted(profile, deviation):
+def expected_force(profile, deviation):
     """Return the smaller of the profile's and the servos' force [N] at a deviation [m]."""
     c = float(np.clip(1.0 - (deviation - 0.01) / 0.09, 0.0, 1.0))
     strength = {
@@ -40,7 +40,10 @@ def test_profiles_are_felt_as_promised_and_differ_where_they_should():
             for place in PLACES
         }
         for place, force in felt[profile].items():
-            assert force == pytest.approx(wanted(profile, place), abs=FRICTION), (profile, place)
+            assert force == pytest.approx(expected_force(profile, place), abs=FRICTION), (
+                profile,
+                place,
+            )
     near, far = ({name: at[place] for name, at in felt.items()} for place in (0.02, 0.13))
     assert near["softening"] > near["hardening"] + 4.0 > near["constant"] + 4.0
     assert far["hardening"] > far["softening"] + 8.0

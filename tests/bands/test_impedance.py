@@ -142,7 +142,7 @@ def test_well_damped_servos_bear_more_than_their_own_stiffness():
     assert np.sqrt(np.mean(np.square(speeds[-50:]))) < 0.005  # [rad/s], measured 0.0004
 
 
-def rings(rate, stiffness, accept_high_stiffness=False):
+def residual_speed(rate, stiffness, accept_high_stiffness=False):
     """Return the largest joint speed [rad/s] later than a second after a tap.
 
     The loop has a delay of one tick for reading and one for writing.
@@ -172,11 +172,13 @@ def rings(rate, stiffness, accept_high_stiffness=False):
 def test_what_is_refused_rings_and_what_is_proposed_instead_does_not():
     asked_for = {"xyz": Axis(stiffness=800.0), "rpy": Axis(stiffness=20.0)}
     with pytest.raises(ConfigError, match="a stiffer loop oscillates: use x=") as refused:
-        rings(50.0, asked_for)
+        residual_speed(50.0, asked_for)
     proposed = re.findall(
         r"(x|y|z|roll|pitch|yaw)=([\d.]+) N", str(refused.value).split(": use ")[1]
     )
     assert len(proposed) == 6
-    assert rings(50.0, asked_for, accept_high_stiffness=True) > 0.1  # [rad/s], measured 1.1
+    assert (
+        residual_speed(50.0, asked_for, accept_high_stiffness=True) > 0.1
+    )  # [rad/s], measured 1.1
     nearest = {name: Axis(stiffness=float(value)) for name, value in proposed}
-    assert rings(50.0, nearest) < 0.005  # [rad/s], measured 0.001
+    assert residual_speed(50.0, nearest) < 0.005  # [rad/s], measured 0.001

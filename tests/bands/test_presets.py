@@ -102,7 +102,7 @@ def test_an_object_is_not_dropped_by_its_own_weight():
 SOME = tasks.MISPLACED[1::6]
 
 
-def plugged(law, holes, conditions):
+def plug_in_sockets(law, holes, conditions):
     return [
         tasks.plug_in(law, offset=offset, tilt=tilt, conditions=conditions)
         for offset, tilt in holes
@@ -115,8 +115,8 @@ def plugged(law, holes, conditions):
 @conditions
 def test_plug(holes, conditions):
     with nullcontext() if conditions is NOMINAL else under(conditions):
-        result = plugged(Settings.plug(push=10.0), holes, conditions)
-    stiff = plugged(STIFF, holes, conditions)
+        result = plug_in_sockets(Settings.plug(push=10.0), holes, conditions)
+    stiff = plug_in_sockets(STIFF, holes, conditions)
     assert all(each.inside for each in result)
     assert max(each.along for each in result) < 11.5  # [N], measured 4.0, cap 10
     assert max(each.across for each in result) < 5.0  # [N], measured 2.1

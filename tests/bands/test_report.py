@@ -21,7 +21,7 @@ LATE = 0.15  # measured 0.10
 DEAD = {"+y": 0.1, "-y": 0.1, "-x": 0.1, "-z": 0.1, "+x": 0.25, "+z": 0.4}
 
 
-def gives_way(q, axis, sign, cap):
+def yield_forces(q, axis, sign, cap):
     """Return the force at which a growing push moves the axis, and the reported force [N, N·m]."""
     index = AXES.index(axis)
     settings = pliant.Settings(
@@ -51,7 +51,7 @@ def gives_way(q, axis, sign, cap):
 def test_a_growing_push_moves_the_arm_where_the_report_says(pose):
     q = (VERTICAL, HORIZONTAL, AT_DOOR, *RANDOM[1:3])[pose]
     for axis, sign, cap in PUSHES:
-        felt, said, friction = gives_way(q, axis, sign, cap)
+        felt, said, friction = yield_forces(q, axis, sign, cap)
         assert said - 0.02 * cap <= felt <= said + friction + LATE * cap, (axis, sign)
 
 

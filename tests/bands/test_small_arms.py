@@ -11,7 +11,7 @@ COUNT = 3
 TRIED = steps.Step((0.0, -0.3, 0.3, 0.9, 0.0), (0.0164, 0.0, 0.1044))
 
 
-def present(name):
+def require_urdf(name):
     """Skip if the URDF of a ready file is not available."""
     if name in BESIDE and not (ROBOTS / BESIDE[name][0]).exists():
         pytest.skip(f"no URDF of {name} beside this checkout")
@@ -30,7 +30,7 @@ def test_a_step_keeps_the_tool_speed_and_stops_at_its_target(name, law, speed):
 
 @pytest.mark.parametrize("speed", steps.SPEEDS)
 def test_a_vx300s_keeps_them_under_law_paper(speed):
-    present("vx300s")
+    require_urdf("vx300s")
     settings = steps.settings("vx300s", "paper", speed)
     for step in steps.steps("vx300s", COUNT):
         result = steps.run("vx300s", step, settings)
@@ -42,7 +42,7 @@ def test_a_vx300s_keeps_them_under_law_paper(speed):
 @pytest.mark.parametrize("law", ["cap", "impedance"])
 def test_a_vx300s_is_near_them_under_the_other_laws(law, speed):
     """The bounds are missed: 0.155 m/s and 8.9 mm, because the friction feed-forward jumps."""
-    present("vx300s")
+    require_urdf("vx300s")
     settings = steps.settings("vx300s", law, speed)
     for step in steps.steps("vx300s", COUNT):
         result = steps.run("vx300s", step, settings)
@@ -60,7 +60,7 @@ def test_the_step_of_the_newcomer(law, speed):
 
 @pytest.mark.parametrize("name", ["so101", "koch", "vx300s"])
 def test_steps_that_are_asked_go_in_several_directions(name):
-    present(name)
+    require_urdf(name)
     ways = np.array([step.way for step in steps.steps(name, COUNT)])
     assert np.allclose(np.linalg.norm(ways, axis=1), 0.1)
     assert np.linalg.matrix_rank(ways, tol=0.01) > 1

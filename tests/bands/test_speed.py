@@ -12,7 +12,7 @@ WAY = 0.15  # [m]
 FASTER = 0.1
 
 
-def led(speed, axis):
+def tool_speeds(speed, axis):
     """Return speeds [m/s] of reference and tool per tick, on a straight path along a base axis."""
     model = robots.arm7()
     controller = pliant.Controller(model, pliant.Settings(max_tool_speed=speed))
@@ -33,7 +33,7 @@ def led(speed, axis):
 @pytest.mark.parametrize("axis", range(3), ids="xyz")
 @pytest.mark.parametrize("speed", [0.05, 0.1, 0.25])
 def test_the_tool_is_a_little_faster_than_its_target_where_it_catches_up(speed, axis):
-    reference, tool = led(speed, axis)
+    reference, tool = tool_speeds(speed, axis)
     assert reference.max() <= speed * (1.0 + 1e-6)
     assert tool.max() < speed + FASTER
     underway = tool[50 : round(WAY / speed * 100.0)]

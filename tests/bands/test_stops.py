@@ -18,19 +18,19 @@ ARMS = {
 }
 
 
-def limited(name, q, room):
+def limited_model(name, q, room):
     """Return the arm with limits q ± room of its first joint; the plant has wider limits."""
     bounds = {robots.load(name).joint_names[0]: (q[0] - room, q[0] + room)}
     return robots.load(name, limits=bounds)
 
 
-def beyond_the_limit(name, cap, ticks, law="cap"):
+def excursions(name, cap, ticks, law="cap"):
     """Return the excursion of the first joint beyond its limit [rad]: largest, final, ringing.
 
     The target is out of reach along the soft axis y.
     """
     q, room = ARMS[name][0], 0.05
-    model, late = limited(name, q, room), 2 * ticks / 100.0
+    model, late = limited_model(name, q, room), 2 * ticks / 100.0
     gap = Mismatch(plant=Parameters(delay=late), assumed=Parameters(delay=late, reach=RANDOM))
     plant = gap.build(robots.load(name), delay=(ticks, ticks))
     spring = {"stiffness": 500.0} if law == "impedance" else {}
@@ -60,13 +60,13 @@ def beyond_the_limit(name, cap, ticks, law="cap"):
 @pytest.mark.parametrize("name", ARMS)
 def test_a_soft_axis_does_not_drive_a_joint_out_of_its_limits(name, ticks):
     for cap in ARMS[name][1]:
-        most, _, ringing = beyond_the_limit(name, cap, ticks)
+        most, _, ringing = excursions(name, cap, ticks)
         assert most < ARMS[name][2]  # measured 0.017
         assert ringing < 1e-3
 
 
 def test_nor_under_law_impedance():
-    most, _, _ = beyond_the_limit("arm7", 20.0, 0, law="impedance")
+    most, _, _ = excursions("arm7", 20.0, 0, law="impedance")
     assert most < 0.02
 
 

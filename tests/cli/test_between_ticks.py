@@ -1,4 +1,4 @@
-"""Commands on an emulated bus: no imports between two ticks, and complete files after Ctrl-C."""
+"""Commands on an emulated bus: no imports between ticks, and complete files after Ctrl-C."""
 
 import json
 import os
@@ -11,7 +11,7 @@ import programs
 import pytest
 from bare_arm import left_enabled
 from programs import Program
-from teach.test_teach import was_led
+from teach.test_teach import assert_scripted_motion
 
 pytest.importorskip("mujoco", reason="these commands drive an emulated arm: extra sim")
 pytest.importorskip("rustypot")
@@ -58,12 +58,12 @@ def run_alone(*arguments):
 
 @pytest.fixture
 def command(tmp_path):
-    """Run a command over an emulated SO-101 that stays enabled."""
+    """Return a function that runs a command on an emulated SO-101 that keeps its torque at exit."""
     arm = left_enabled(tmp_path)
 
     def run(name, *flags, statement="pass", backend="emulator"):
         arguments = (name, arm, *flags, "--backend", backend)
-        # Use a new process: an import between ticks shows only if the module is not loaded yet.
+        # A new process: only there an import between ticks is visible.
         start = run_alone if backend == "emulator" else programs.run
         result = start("-c", PROGRAM.replace("{each}", statement), *arguments)
         assert result.stdout, result.stderr
@@ -96,7 +96,7 @@ def test_nothing_is_loaded_between_two_ticks(command, tmp_path, name):
     assert not modules
     if name == "teach":
         assert "pliant replay" in result.stdout
-        was_led(flags[name][0])
+        assert_scripted_motion(flags[name][0])
 
 
 def test_a_recording_outlives_ctrl_c(command, tmp_path):

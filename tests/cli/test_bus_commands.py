@@ -23,7 +23,7 @@ MODELS = ("XM430-W350",) * 3 + ("XL430-W250",) * 3
 
 @pytest.fixture
 def arm(tmp_path):
-    """Return servos with factory settings on an emulated bus, and their arm's file."""
+    """Yield emulated servos with factory settings, and the configuration file of their arm."""
     devices = [Device(model, id=i) for i, model in enumerate(MODELS, 1)]
     with Emulator(devices) as bus:
         file = tmp_path / "arm.toml"
@@ -168,8 +168,8 @@ def test_run_follows_a_file(tmp_path, capsys):
     assert "250 ticks" in capsys.readouterr().out
 
 
-#: Model and EEPROM values for which opening the bus fails with the remedy `pliant servos setup`.
-MENDABLE = [
+#: Models and EEPROM values with which `open` fails and names the remedy `pliant servos setup`.
+REPAIRABLE = [
     ("XM430-W350", {"operating_mode": 3}),
     ("XM430-W350", {"operating_mode": 5, "drive_mode": 0b10}),
     ("XM430-W350", {"operating_mode": 5, "drive_mode": 0b100}),
@@ -197,7 +197,7 @@ def write_arm(file, bus, model):
     return table
 
 
-@pytest.mark.parametrize(("model", "registers"), MENDABLE)
+@pytest.mark.parametrize(("model", "registers"), REPAIRABLE)
 def test_what_opening_names_setup_for_setup_mends_and_undoes(model, registers, tmp_path, capsys):
     from pliant import ServoError
     from pliant.servo import ServoBus, ServoSpec

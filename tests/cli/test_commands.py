@@ -21,7 +21,7 @@ EXPERIMENTS = set(GROUPS.get("experiments", {}))
 
 
 def arguments(command):
-    """Return arguments of a command, flags by name and positional ones by placeholder."""
+    """Return the arguments of a command: flags by name, positional arguments by placeholder."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
         parser = tyro.extras.get_parser(
@@ -35,7 +35,7 @@ def arguments(command):
 
 
 def meaning(action):
-    """Return placeholder and first sentence of the help, without the default."""
+    """Return placeholder and first sentence of the help of an argument, without the default."""
     text = re.sub(r"\s*\((default: .*|required)\)\s*$", "", action.help or "")
     return str(action.metavar), re.split(r"(?<=[^.])\.(?:\s|$)", text)[0].strip()
 
@@ -118,8 +118,8 @@ def test_an_arm_that_is_not_ready_gets_a_suggestion(capsys):
     assert "vx300s" in error
 
 
-def pasted(lines):
-    """Return the lines that `pliant identify` prints for the file, as TOML."""
+def parse_printed(lines):
+    """Parse the TOML lines that `pliant identify` prints for the configuration file."""
     return tomllib.loads(lines.partition("\n\n")[2])
 
 
@@ -137,7 +137,7 @@ def test_identify_gravity_moves_nothing_and_lowers_the_arm(so101, capsys, caplog
     captured = capsys.readouterr()
     assert "do not touch the arm" in captured.out
     assert "the check passed" in captured.out
-    assert pasted(captured.out) == {}
+    assert parse_printed(captured.out) == {}
     assert "was lowered" in caplog.text
 
 
@@ -145,7 +145,7 @@ def test_identify_payload_prints_what_the_tool_carries(capsys, caplog):
     assert main(["identify", "so101", "payload", "--backend", "sim", "--span", "0.2"]) == 0
     captured = capsys.readouterr()
     assert "payload" in captured.out
-    assert set(pasted(captured.out)) <= {"payload"}
+    assert set(parse_printed(captured.out)) <= {"payload"}
     assert "was lowered" in caplog.text
 
 
@@ -153,7 +153,7 @@ def test_identify_payload_prints_what_the_tool_carries(capsys, caplog):
 def test_identify_servos_prints_a_table_for_the_file(so101, capsys):
     assert main(["identify", str(so101), "servos", "--backend", "sim"]) == 0
     out = capsys.readouterr().out
-    servo = pasted(out)["servo"]
+    servo = parse_printed(out)["servo"]
     text = so101.read_text(encoding="utf-8")
     head, _, tail = text.partition("[servo]")
     gripper = "[gripper]" + tail.partition("[gripper]")[2]

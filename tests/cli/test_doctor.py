@@ -1,4 +1,4 @@
-"""`pliant servos doctor` finds errors of a file that would otherwise appear on the arm."""
+"""`pliant servos doctor` finds errors in a configuration before they affect the arm."""
 
 import os
 import re

@@ -24,24 +24,27 @@ def toml(port, *, joints=JOINTS, model="STS3215-7.4V", extra=""):
 
 
 @pytest.fixture
-def said(tmp_path, capsys):
-    """Return the messages of `run`, `servos doctor` and `connect` about a file as one text."""
+def error_texts(tmp_path, capsys):
+    """Return a function: it returns the messages of three commands about a configuration text."""
 
     def ask(text):
         file = tmp_path / "arm.toml"
         file.write_text(text)
         capsys.readouterr()
         assert main(["run", str(file), "--quiet", "--duration", "1"]) == 2
-        error = capsys.readouterr().err
-        assert "Traceback" not in error
+        run_error = capsys.readouterr().err
+        assert "Traceback" not in run_error
         assert main(["servos", "doctor", str(file)]) == 2
-        both = capsys.readouterr()
+        doctor = capsys.readouterr()
         with (
-            pytest.raises(pliant.PliantError) as caught,
+            pytest.raises(pliant.PliantError) as error,
             pliant.connect(file, handle_signals=False),
         ):
             pass
-        return [" ".join(text.split()) for text in (error, both.out + both.err, str(caught.value))]
+        return [
+            " ".join(text.split())
+            for text in (run_error, doctor.out + doctor.err, str(error.value))
+        ]
 
     return ask
 
@@ -56,29 +59,35 @@ def servos(*ids, **registers):
     return [Device("STS3215", id=i, **registers) for i in ids]
 
 
-def test_wrong_port(said):
-    all_say(said(toml("/dev/ttyNOWHERE7")), "there is no port /dev/ttyNOWHERE7", "there are:")
+def test_wrong_port(error_texts):
+    all_say(
+        error_texts(toml("/dev/ttyNOWHERE7")), "there is no port /dev/ttyNOWHERE7", "there are:"
+    )
 
 
-def test_no_permission(said, monkeypatch):
+def test_no_permission(error_texts, monkeypatch):
     def refuse(*_):
         raise OSError("Permission denied")
 
     monkeypatch.setattr(rustypot, "MxPyController", refuse)
-    all_say(said(toml("/dev/ttyUSB3")), "no permission to open /dev/ttyUSB3", "usermod -aG dialout")
+    all_say(
+        error_texts(toml("/dev/ttyUSB3")),
+        "no permission to open /dev/ttyUSB3",
+        "usermod -aG dialout",
+    )
 
 
-def test_port_in_use(said):
+def test_port_in_use(error_texts):
     with Emulator(servos(1, 2, 3, 4, 5)) as bus:
         other = rustypot.MxPyController(bus.port, 1_000_000, 0.1)
-        all_say(said(toml(bus.port)), "is in use by another program", "close it")
+        all_say(error_texts(toml(bus.port)), "is in use by another program", "close it")
         other.close()
 
 
-def test_wrong_baud(said):
+def test_wrong_baud(error_texts):
     with Emulator(servos(1, 2, 3, 4, 5), baud=115_200) as bus:
         all_say(
-            said(toml(bus.port)),
+            error_texts(toml(bus.port)),
             "no servo answers",
             "baud rate",
             "`pliant servos scan`",
@@ -86,15 +95,15 @@ def test_wrong_baud(said):
         )
 
 
-def test_missing_id(said):
+def test_missing_id(error_texts):
     with Emulator(servos(1, 2, 4, 5, 9)) as bus:
-        texts = said(toml(bus.port))
+        texts = error_texts(toml(bus.port))
     all_say(texts, "no answer", "elbow_flex (id 3)", "ids that answer: 1, 2, 4, 5, 9", "plug")
 
 
-def test_two_servos_on_one_id(said):
+def test_two_servos_on_one_id(error_texts):
     with Emulator(servos(1, 2, 3, 3, 4, 5)) as bus:
-        all_say(said(toml(bus.port)), "elbow_flex", "Two servos on one id", "one by one")
+        all_say(error_texts(toml(bus.port)), "elbow_flex", "Two servos on one id", "one by one")
 
 
 def test_new_servos_that_all_have_one_id_are_seen_by_scan(capsys):
@@ -105,10 +114,10 @@ def test_new_servos_that_all_have_one_id_are_seen_by_scan(capsys):
     assert "`pliant servos setup ARM --set-id OLD:NEW`" in output
 
 
-def test_a_low_voltage_servo_on_12_volts(said):
+def test_a_low_voltage_servo_on_12_volts(error_texts):
     with Emulator(servos(1, 2, 3, 4, 5)) as bus:
         bus.supply(12.0)
-        texts = said(toml(bus.port))
+        texts = error_texts(toml(bus.port))
     all_say(texts, "its supply is 12.0 V", "STS3215-7.4V takes", "wrong supply", "another variant")
     # The message appears once for all five servos.
     assert texts[0].count("wrong supply") == 1
@@ -139,9 +148,9 @@ def test_a_motion_is_no_calibration(tmp_path, capsys):
 def test_a_rate_that_cannot_be_is_said_before_there_is_a_link(rate, capsys):
     pytest.importorskip("mjviser", reason="the page needs the extra view")
     assert main(["view", "--rate", rate]) == 2
-    both = capsys.readouterr()
-    assert "http" not in both.out
-    assert rate.lstrip("-") in both.err
+    captured = capsys.readouterr()
+    assert "http" not in captured.out
+    assert rate.lstrip("-") in captured.err
 
 
 @pytest.mark.parametrize("page", ["0", "-1", "99999999"])
@@ -180,13 +189,13 @@ def test_the_emulator_starts_first_and_reports_late_replies(monkeypatch, capsys)
     assert out.count("this computer is busy") == 2
 
 
-def test_another_model(said):
+def test_another_model(error_texts):
     with Emulator(servos(1, 2, 3, 4, 5)) as bus:
-        texts = said(toml(bus.port, model="MX-28"))
+        texts = error_texts(toml(bus.port, model="MX-28"))
     all_say(texts, "it is no MX-28", "`pliant servos scan`", "the configuration says MX-28")
 
 
-def test_a_typo_in_the_file(said, tmp_path):
+def test_a_typo_in_the_file(error_texts, tmp_path):
     typo = toml("/dev/ttyUSB0").replace("[[port]]", "[[prot]]").replace('"so101"', '"so101"')
     with pytest.raises(pliant.ConfigError, match="prot is not a key here; did you mean 'port'"):
         pliant.config.parse(typo)
@@ -206,9 +215,9 @@ def test_a_typo_in_a_model_or_unit(tmp_path, capsys):
     assert "loop.rate = -5" in capsys.readouterr().err
 
 
-def test_file_and_urdf_disagree(said):
+def test_file_and_urdf_disagree(error_texts):
     names = ("shoulder_pan", "shoulder_lft", "elbow_flex", "wrist_flex", "wrist_roll")
-    texts = said(toml("/dev/ttyUSB0", joints=names))
+    texts = error_texts(toml("/dev/ttyUSB0", joints=names))
     all_say(texts, "file and URDF disagree", "no servo for shoulder_lift", "shoulder_lft")
     all_say(texts, "The chain has shoulder_pan, shoulder_lift")
 

@@ -1,4 +1,4 @@
-"""Targets from other programs: errors are reported; a stream neither ends nor delays the loop."""
+"""Targets from other programs: errors are reported, and no stream ends or delays the loop."""
 
 import os
 import re
@@ -88,7 +88,7 @@ def test_joints_may_be_a_little_beyond_their_limits():
 
 @pytest.fixture
 def pipe():
-    """Return a stream, and a function that writes to it and waits until it was read."""
+    """Yield a stream of targets, and a function that writes to it and waits until it was read."""
     ends = os.pipe()
     source = StreamTargets(ends[0], MODEL)
 
@@ -152,7 +152,7 @@ def test_refusals_are_said_a_few_times_a_second(pipe, capsys):
 
 
 def complaints(text):
-    """Return lines of standard error, without those on the descent."""
+    """Return the lines of standard error that are not about the descent."""
     return [line for line in text.splitlines() if not line.startswith("pliant: so101_like")]
 
 

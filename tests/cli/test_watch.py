@@ -1,4 +1,4 @@
-"""`pliant servos doctor --watch`: joints moved by hand, torque off, and the tool's direction."""
+"""`pliant servos doctor --watch`: it names joints moved by hand, and the direction of the tool."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_a_joint_that_turns_the_tool_in_place_names_its_axis():
 
 @pytest.fixture
 def arm(tmp_path):
-    """Return an emulated SO-101 and its file with a wrong sign for shoulder_lift."""
+    """Yield an emulated SO-101, its file, and a file with the wrong sign for shoulder_lift."""
     arm_config = config.load("so101", backend="emulator")
     with make_emulator(arm_config) as bus:
         text = config.loader.builtin_text("so101").replace('path = "auto"', f'path = "{bus.port}"')
@@ -60,7 +60,7 @@ def arm(tmp_path):
 
 
 def watch_while_lifted(bus, file, capsys):
-    """Return the output while a hand turns shoulder_lift by +0.4 rad, and back."""
+    """Return the output while a hand turns shoulder_lift by +0.4 rad and back."""
 
     def lift():
         for angle in (0.4, 0.0):

@@ -80,7 +80,7 @@ def test_a_ready_arm_moves_over_real_bytes(name):
             arm.disable_torque()
         order = bus.log.order(servo_bus.specs[0].id)
         assert not bus.log.eeprom_writes()
-    # The supply's voltage and the gain registers, not the ideal servos of the built-in table.
+    # The error comes from supply voltage and gain registers; the built-in table has ideal servos.
     assert np.linalg.norm(final - target) < 0.015
     assert order[:3] == ["limit", "goal", "torque on"]
 

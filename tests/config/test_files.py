@@ -249,7 +249,7 @@ def test_a_file_for_a_built_in_model_takes_no_other_urdf(name):
 
 @contextmanager
 def makers_arm(arm_config):
-    """Yield the arm of a configuration, on emulated servos in emulated time."""
+    """Yield the arm of a configuration: simulated, or on emulated servos in emulated time."""
     if arm_config.backend == "sim":
         with pliant.connect(arm_config, handle_signals=False) as arm:
             yield arm
@@ -303,7 +303,7 @@ def test_zero_comes_from_the_file_then_from_the_calibration(tmp_path):
 
 
 def test_a_bound_on_a_dead_host_reaches_the_servos_from_the_file():
-    """Run a loop over the arm of a file, with and without `max_host_loss_force`."""
+    """Run loops with the arm of a file, with and without `max_host_loss_force`."""
     work = np.array([-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657])
     text = 'backend = "sim"\nrobot.builtin = "arm7"\n[settings]\naxes.y = { soft = 4.0 }\n'
     residuals, commands = [], []

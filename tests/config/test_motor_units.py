@@ -1,4 +1,4 @@
-"""Joint positions in LeRobot's units, against LeRobot's formulas for its motors."""
+"""Joint positions in the units of LeRobot, compared with its formulas."""
 
 import json
 import math
@@ -18,7 +18,7 @@ def calibrated(folder, name="so101", **changes):
 
 
 def lerobot_value(count, entry, norm, *, is_feetech):
-    """Return the value of a count by the documented rules of LeRobot's `MotorsBus`."""
+    """Convert an encoder count to LeRobot's units by the documented rules of its `MotorsBus`."""
     low, high = entry["range_min"], entry["range_max"]
     if norm == "degrees":
         return (count - (low + high) / 2) * 360 / 4095
@@ -94,6 +94,6 @@ def test_calibrations_are_found_where_each_version_left_them(tmp_path, monkeypat
     assert config.find_calibration("mine", "my_arm.toml").parent.name == "so_follower"
     with pytest.raises(pliant.ConfigError, match=r"'mine' .*koch_follower: run lerobot-calibrate"):
         config.find_calibration("mine", "koch")
-    # A leader with the same id as a follower is another arm.
+    # Leaders and followers with the same id are different arms.
     with pytest.raises(pliant.ConfigError, match=r"'lead' .*so_follower; there are mine"):
         config.find_calibration("lead", "so101")

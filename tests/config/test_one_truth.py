@@ -1,4 +1,4 @@
-"""The arm assumes the servo parameters of its file on every backend."""
+"""On every backend the arm assumes the servo parameters of its file."""
 
 import tomllib
 from pathlib import Path
@@ -16,7 +16,7 @@ from pliant.emulator import ManualClock
 from pliant.servo import ServoBus
 
 ROBOTS = Path(__file__).parents[3] / "shared" / "robots"
-#: Ready files, and other robots with a file of their own.
+#: Robots that have a ready file.
 READY_FILES = ("arm7", "koch", "so100", "so101")
 KOCH = """
 [robot]
@@ -33,7 +33,7 @@ voltage = {volts}
 
 
 def read(name, tmp_path, backend):
-    """Read the configuration of a ready file, or of a robot of the collection."""
+    """Read the configuration of a ready file, or of another robot with a file of this test."""
     if name in READY_FILES:
         return config.load(name, backend=backend)
     if name == "vx300s":
@@ -50,7 +50,7 @@ def read(name, tmp_path, backend):
 
 
 def on_bytes(arm_config, model):
-    """Return the values that the driver of a real bus reads from such servos."""
+    """Return what the driver of a real bus reads from emulated servos of a configuration."""
     with make_emulator(arm_config, clock="steps") as bus:
         servo_bus = ServoBus(
             factory.servo_specs(arm_config, bus.ports),

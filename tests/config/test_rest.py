@@ -54,7 +54,7 @@ def test_a_rest_pose_lies_within_limits_above_the_table_and_presses_on_nothing(n
     for _ in range(300):
         plant.write(plant.q, np.zeros(plant.n), gripper_command)
         plant.advance()
-    # Without torque the arm sinks onto table or stops; the tool does not enter the table.
+    # Without torque the arm sinks onto the table or its stops; the tool does not enter the table.
     assert table.clearance() > -1e-3
     assert plant.tool[2, 3] > arm_config.robot.table
     assert np.abs(plant.dq).max() < 0.05
@@ -84,9 +84,9 @@ def test_an_arm_of_a_ready_file_is_parked_and_lies_on_its_table(name):
     assert not arm.enabled
 
 
-#: Posture bent forward [rad]. On the straight path to the rest pose, the tool would be 5 cm below
-#: the table at half way.
-BARRED = [0.0, 1.24, 1.23, 1.24, 0.0]
+#: Posture bent forward [rad]: half-way on the straight path to the rest pose, the tool would be
+#: 5 cm below the table.
+BLOCKED_POSE = [0.0, 1.24, 1.23, 1.24, 0.0]
 
 
 def test_a_way_through_the_table_is_found():
@@ -94,17 +94,21 @@ def test_a_way_through_the_table_is_found():
     points, rest_q = ArmPoints(model), np.array(config.load("so101").life.rest_q)
 
     def lowest(share):
-        return points.position(np.array(BARRED) + share * (rest_q - BARRED))[:, 2].min()
+        return points.position(np.array(BLOCKED_POSE) + share * (rest_q - BLOCKED_POSE))[:, 2].min()
 
     heights = [lowest(share) for share in np.linspace(0.0, 1.0, STEPS)]
     assert min(heights[0], heights[-1]) > 0.0 > -0.008 > min(heights)
-    obstacle = path_obstacle(model, points, np.array(BARRED), rest_q, 0.0)
+    obstacle = path_obstacle(model, points, np.array(BLOCKED_POSE), rest_q, 0.0)
     assert (
         obstacle == f"the way to the rest pose leads the tool {-min(heights):.3f} m into the table"
     )
-    for free, table in ((np.zeros(5), 0.0), (np.array(BARRED), None), (np.array(BARRED), -0.1)):
+    for free, table in (
+        (np.zeros(5), 0.0),
+        (np.array(BLOCKED_POSE), None),
+        (np.array(BLOCKED_POSE), -0.1),
+    ):
         assert path_obstacle(model, points, free, rest_q, table) is None
-    # A point that starts below the table may move up, but not farther down.
+    # A point that starts below the table may move up, but not down.
     start, goal = np.array([0.0, 1.3, 0.9, 0.0, 0.0]), np.array([0.0, 1.3, 1.7, 0.0, 0.0])
     assert points.position(start)[:, 2].min() < -0.09
     assert path_obstacle(model, points, start, goal, 0.0) is None
@@ -114,7 +118,7 @@ def test_a_way_through_the_table_is_found():
 
 
 def test_an_arm_with_a_blocked_path_to_rest_is_lowered_straight_down():
-    arm = pliant.connect("so101", backend="sim", q=BARRED, handle_signals=False)
+    arm = pliant.connect("so101", backend="sim", q=BLOCKED_POSE, handle_signals=False)
     plant = arm.drive.plant
     (table,) = plant.fixtures
     with arm:
@@ -226,8 +230,8 @@ def test_joint_targets_lead_an_arm_out_of_its_rest_pose(name, soft):
         for tick in pliant.Loop(arm, controller, duration=5.0):
             tick.write(controller.step_joints(tick.q, target, dt=tick.dt))
         arm.leave_enabled()
-    # The joints may differ from the target: friction stops the null-space motion early.
-    # Measured 0.01 to 0.22; 1.4 if the arm gets stuck [rad].
+    # Joints may miss the target, because friction stops the null-space motion early: measured 0.01
+    # to 0.22; 1.4 if the arm gets stuck [rad].
     np.testing.assert_allclose(tick.q, target, atol=0.3)
     tool, target_tool = (arm.model.forward_kinematics(q)[:3, 3] for q in (tick.q, target))
     # On a soft axis, friction larger than the cap keeps the tool from reaching its target.

@@ -1,4 +1,4 @@
-"""Contact estimation from Python: estimates of a simulated push, and errors for bad input."""
+"""Contact estimation from Python: estimates of a simulated push, and errors of invalid input."""
 
 import numpy as np
 import pytest
@@ -20,10 +20,10 @@ def controller(**settings):
     return pliant.Controller(arm(), pliant.Settings.soft("y").replace(**settings))
 
 
-def pushed(contact, force=(0.0, 0.0, 0.0), ticks=200, *, build=Plant, tare=None):
-    """Return the estimates of all ticks.
+def push_estimates(contact, force=(0.0, 0.0, 0.0), ticks=200, *, build=Plant, tare=None):
+    """Return the estimates of all ticks during a push that ramps up from 0.5 to 0.7 s.
 
-    The push ramps up from 0.5 to 0.7 s. The estimator is tared at tick `tare`; None: never.
+    The estimator is tared at tick `tare`; None: never.
     """
     course = ForceProfile(start=0.5, rise=0.2, end=10.0)
     plant = build(arm(), scene=[Push(force_vector=force, course=course)])
@@ -45,7 +45,7 @@ def pushed(contact, force=(0.0, 0.0, 0.0), ticks=200, *, build=Plant, tare=None)
 
 @pytest.mark.parametrize("force", [(0.0, 0.0, 8.0), (-6.0, 0.0, 0.0), (3.0, 2.0, -5.0)])
 def test_a_push_is_felt_within_the_bound(force):
-    last = pushed(pliant.ContactEstimator(controller(), **KNOWN), force)[-1]
+    last = push_estimates(pliant.ContactEstimator(controller(), **KNOWN), force)[-1]
     error = np.abs(last.force_base[:3] - force)
     assert (error <= last.uncertainty_base[:3]).all()
     assert error.max() < 1.5  # [N], measured 0.6
@@ -56,7 +56,7 @@ def test_a_push_is_felt_within_the_bound(force):
 
 def test_events_come_with_their_thresholds_and_their_time():
     contact = pliant.ContactEstimator(controller(), touch={"xyz": 4.0}, stop={"z": 7.0}, **KNOWN)
-    result = pushed(contact, (0.0, 0.0, 9.0))
+    result = push_estimates(contact, (0.0, 0.0, 9.0))
     touched = [bool(felt.touch[2]) for felt in result]
     stopped = [bool(felt.stop[2]) for felt in result]
     assert not any(touched[:50])
@@ -65,7 +65,7 @@ def test_events_come_with_their_thresholds_and_their_time():
 
 
 def test_nothing_is_claimed_before_a_command_was_in_force():
-    first = pushed(pliant.ContactEstimator(controller(), **KNOWN), ticks=1)[0]
+    first = push_estimates(pliant.ContactEstimator(controller(), **KNOWN), ticks=1)[0]
     assert (first.force == 0.0).all()
     assert np.isinf(first.uncertainty).all()
     assert str(first) == "nothing known yet"
@@ -73,7 +73,7 @@ def test_nothing_is_claimed_before_a_command_was_in_force():
 
 def test_saturated_joints_are_named_and_the_estimate_stands():
     contact = pliant.ContactEstimator(controller(), **KNOWN)
-    last = pushed(contact, (0.0, 0.0, 40.0), ticks=120)
+    last = push_estimates(contact, (0.0, 0.0, 40.0), ticks=120)
     saturated = [felt for felt in last if felt.saturated.any()]
     assert saturated
 
@@ -81,7 +81,7 @@ def test_saturated_joints_are_named_and_the_estimate_stands():
 def test_a_tare_takes_a_wrong_stiffness_out():
     contact = pliant.ContactEstimator(controller(), kp_error=0.2, gravity_error=0.0)
     gap = Mismatch(plant=Parameters(kp=1.15), assumed=Parameters())
-    result = pushed(contact, (0.0, 0.0, 8.0), build=gap.build, tare=45)
+    result = push_estimates(contact, (0.0, 0.0, 8.0), build=gap.build, tare=45)
     gap.check(contact.controller)
     assert contact.tared
     before, after, pressed = result[44], result[49], result[-1]
@@ -127,7 +127,7 @@ def test_few_joints_look_at_the_axes_of_their_task():
 
 
 def test_events_of_the_experiment_are_those_of_the_core():
-    result = pushed(
+    result = push_estimates(
         pliant.ContactEstimator(controller(), touch={"z": 5.0}, accept_thresholds=True, **KNOWN),
         (0.0, 0.0, 9.0),
     )

@@ -11,7 +11,7 @@ from pliant.sim.postures import VERTICAL
 TARGET = arm().forward_kinematics(VERTICAL)
 
 
-class Felt:
+class FakeWrench:
     """Stand-in for a `WrenchEstimate` with a given force."""
 
     def __init__(self, force=(0.0,) * 6, bound=(1.0,) * 6, evidence=0.0):
@@ -35,22 +35,22 @@ def moment(felt=None, **extra):
         "q": VERTICAL,
         "tool": TARGET,
         "target": TARGET,
-        "wrench": felt or Felt(),
+        "wrench": felt or FakeWrench(),
     }
     return rx.TickContext(**{**fields, **extra})
 
 
 def push(z):
-    return moment(Felt((0.0, 0.0, z, 0.0, 0.0, 0.0)))
+    return moment(FakeWrench((0.0, 0.0, z, 0.0, 0.0, 0.0)))
 
 
 def test_force_counts_beyond_threshold_and_uncertainty():
     judge = rx.Force("z", above=8.0).evaluator()
     assert judge(push(-9.0))
     assert not judge(push(7.0))
-    assert not judge(moment(Felt((0, 0, 9.0, 0, 0, 0), bound=(10.0,) * 6)))
+    assert not judge(moment(FakeWrench((0, 0, 9.0, 0, 0, 0), bound=(10.0,) * 6)))
     assert rx.Force("z", above=8.0, accept_thresholds=True).evaluator()(
-        moment(Felt((0, 0, 9.0, 0, 0, 0), bound=(10.0,) * 6))
+        moment(FakeWrench((0, 0, 9.0, 0, 0, 0), bound=(10.0,) * 6))
     )
     assert not rx.Force("z", above=8.0, toward="+").evaluator()(push(-9.0))
     assert rx.Force("xyz", below=2.0).evaluator()(push(1.0))
@@ -120,8 +120,8 @@ def test_a_watch_refuses_what_its_arm_cannot_tell_or_do():
         rx.ReactionMonitor(few, [rx.Reaction(rx.Deviation("yaw", above=0.1), rx.Hold())])
 
 
-def watched(then, when=None, **extra):
-    """Run a monitor with a reaction whose condition is true from 0.1 s to 0.3 s."""
+def run_monitor(then, when=None, **extra):
+    """Return a monitor with one reaction; by default its condition is true from 0.1 to 0.3 s."""
     if when is None:
         when = rx.After(0.1) & ~rx.After(0.3)
     return rx.ReactionMonitor(controller(), [rx.Reaction(when, then, **extra)])
@@ -142,7 +142,7 @@ def away(x):
 
 
 def test_hold_freezes_the_target_and_gives_it_back_slowly():
-    watch, expected = watched(rx.Hold(), clear=0.2), away(0.05)
+    watch, expected = run_monitor(rx.Hold(), clear=0.2), away(0.05)
     sent_targets = targets(watch, 150, expected)
     assert sent_targets[5] is expected
     np.testing.assert_array_equal(sent_targets[15], TARGET)
@@ -155,7 +155,7 @@ def test_hold_freezes_the_target_and_gives_it_back_slowly():
 
 
 def test_stop_stays_until_it_is_resumed():
-    watch, expected = watched(rx.Stop()), away(0.05)
+    watch, expected = run_monitor(rx.Stop()), away(0.05)
     targets(watch, 100, expected)
     assert watch.stopped
     watch.resume()
@@ -165,7 +165,7 @@ def test_stop_stays_until_it_is_resumed():
 
 
 def test_retract_leaves_along_its_direction_and_stays():
-    watch = watched(rx.Retract(0.04, speed=0.2, along=(0.0, 0.0, 2.0)))
+    watch = run_monitor(rx.Retract(0.04, speed=0.2, along=(0.0, 0.0, 2.0)))
     sent_targets = targets(watch, 60)
     assert np.diff([pose[2, 3] for pose in sent_targets]).max() <= 0.2 * 0.01 + 1e-12
     assert sent_targets[-1][2, 3] - TARGET[2, 3] == pytest.approx(0.04)
@@ -174,7 +174,7 @@ def test_retract_leaves_along_its_direction_and_stays():
 
 def test_follow_keeps_the_target_on_a_leash():
     when = rx.After(0.05)
-    watch = watched(rx.Follow("x", 0.02), when)
+    watch = run_monitor(rx.Follow("x", 0.02), when)
     sent_targets = targets(watch, 20, away(0.1))
     assert sent_targets[-1][0, 3] - TARGET[0, 3] == pytest.approx(0.02)
     targets(watch, 2, away(0.01))
@@ -182,7 +182,7 @@ def test_follow_keeps_the_target_on_a_leash():
 
 
 def test_yield_changes_settings_and_restores_them():
-    watch = watched(rx.Yield("z", {"soft": 2.0}), clear=0.1)
+    watch = run_monitor(rx.Yield("z", {"soft": 2.0}), clear=0.1)
     before = watch.controller.settings
     targets(watch, 20)
     assert watch.controller.settings.axes["z"].soft == (2.0, 2.0)
@@ -212,7 +212,7 @@ def test_calls_come_once_and_the_first_reaction_matters_most():
 
 
 def test_bad_readings_change_nothing():
-    watch = watched(rx.Hold(), rx.ResidualAbove())
+    watch = run_monitor(rx.Hold(), rx.ResidualAbove())
     targets(watch, 5)
     felt = watch.wrench
     for bad in (np.full(7, np.nan), np.zeros(3)):

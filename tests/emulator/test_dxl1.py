@@ -117,7 +117,7 @@ def test_action_without_reg_write_is_an_instruction_error():
     assert ask(line, p1(1, 5))[4] == INSTRUCTION
 
 
-def saturated(model, seconds, **registers):
+def saturate(model, seconds, **registers):
     """Hold a servo at its torque limit for `seconds`."""
     line, servo = single_servo(model, **registers)
     write1(line, "torque_limit", *le16(200))
@@ -128,7 +128,7 @@ def saturated(model, seconds, **registers):
 
 
 def test_overload_sets_the_torque_limit_to_zero_and_a_new_limit_revives():
-    line, servo = saturated("RX-64", 3.2)
+    line, servo = saturate("RX-64", 3.2)
     assert servo.get("torque_limit") == 0
     assert servo.drive().goal is None
     error, data = read1(line, "torque_limit", 2)
@@ -139,13 +139,13 @@ def test_overload_sets_the_torque_limit_to_zero_and_a_new_limit_revives():
 
 
 def test_overload_without_its_bit_in_shutdown_only_reports():
-    line, servo = saturated("RX-64", 3.2, shutdown=4)
+    line, servo = saturate("RX-64", 3.2, shutdown=4)
     assert servo.get("torque_limit") == 200
     assert read1(line, "torque_limit", 2)[0] == OVERLOAD
 
 
 def test_no_overload_before_its_time():
-    assert saturated("RX-64", 2.5)[1].get("torque_limit") == 200
+    assert saturate("RX-64", 2.5)[1].get("torque_limit") == 200
 
 
 def test_heat_and_voltage_are_conditions_that_go_away():

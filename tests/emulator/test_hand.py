@@ -26,7 +26,7 @@ def so101():
     )
 
 
-def moved(arm_config, motion, seconds, interval=0.1):
+def record_motion(arm_config, motion, seconds, interval=0.1):
     """Return joint positions (N, 6) [rad], and the positions that the servos report [counts]."""
     with make_emulator(
         arm_config, clock="steps", hand=JointHand(_motion(motion, arm_config))
@@ -41,7 +41,7 @@ def moved(arm_config, motion, seconds, interval=0.1):
 
 @pytest.mark.slow
 def test_a_wave_moves_every_joint_of_a_limp_arm_and_its_servos_report_it(so101):
-    joints, reported = moved(so101, "wave", 12.0)
+    joints, reported = record_motion(so101, "wave", 12.0)
     assert np.ptp(joints, axis=0).min() > 0.4
     assert np.abs(joints[40:, :5]).max() < 0.35
     ranges = np.ptp(reported, axis=0) * 2.0 * np.pi / 4096
@@ -50,7 +50,7 @@ def test_a_wave_moves_every_joint_of_a_limp_arm_and_its_servos_report_it(so101):
 
 @pytest.mark.slow
 def test_ranges_begin_in_the_middle_and_lead_every_joint_from_end_to_end(so101):
-    joints, _ = moved(so101, "ranges", MIDDLE_TIME + 6 * RANGE_TIME + 1.0)
+    joints, _ = record_motion(so101, "ranges", MIDDLE_TIME + 6 * RANGE_TIME + 1.0)
     limits = {joint.name: (joint.lower, joint.upper) for joint in so101.model().joints}
     low, high = np.array([limits[name] for name in NAMES]).T
     np.testing.assert_allclose(joints[int(MIDDLE_TIME * 10) - 5], (low + high) / 2.0, atol=0.05)
@@ -65,7 +65,7 @@ def test_a_taught_motion_is_led_forth_and_back(so101, tmp_path):
     q[:, 1] = 0.5 * time / 4.0
     file = tmp_path / "led.json"
     Motion(joints=NAMES[:5], time=time, q=q).save(file)
-    joints, _ = moved(so101, str(file), 8.0)
+    joints, _ = record_motion(so101, str(file), 8.0)
     assert joints[39, 1] == pytest.approx(0.5, abs=0.05)
     assert joints[-1, 1] == pytest.approx(0.0, abs=0.05)
 

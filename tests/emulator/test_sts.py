@@ -11,16 +11,16 @@ OVERLOAD, HEAT, VOLTAGE = 0x20, 0x04, 0x01
 GOAL = (0x00, 0x08, 0, 0, 0xE8, 0x03)
 
 
-def hexed(data):
+def hex_text(data):
     return data.hex(" ").upper()
 
 
 def test_sheet_ping_and_read():
     line, servo = single_servo("STS3215")
-    assert hexed(ask(line, bytes.fromhex("FF FF 01 02 01 FB"))) == "FF FF 01 02 00 FC"
+    assert hex_text(ask(line, bytes.fromhex("FF FF 01 02 01 FB"))) == "FF FF 01 02 00 FC"
     servo.shaft.angle = 1304 * servo.model.count
     answer = ask(line, bytes.fromhex("FF FF 01 04 02 38 02 BE"))
-    assert hexed(answer) == "FF FF 01 04 00 18 05 DD"
+    assert hex_text(answer) == "FF FF 01 04 00 18 05 DD"
 
 
 def test_sheet_broadcast_id_and_write():
@@ -29,7 +29,7 @@ def test_sheet_broadcast_id_and_write():
     assert ask(line, bytes.fromhex("FF FF FE 04 03 05 01 F4")) == b""
     assert servo.id == 1
     answer = ask(line, bytes.fromhex("FF FF 01 09 03 2A 00 08 00 00 E8 03 D5"))
-    assert hexed(answer) == "FF FF 01 02 00 FC"
+    assert hex_text(answer) == "FF FF 01 02 00 FC"
     assert (servo.get("goal_position"), servo.get("goal_velocity")) == (2048, 1000)
 
 
@@ -37,7 +37,7 @@ def test_sheet_reg_write_and_action():
     line, servo = single_servo("STS3215")
     servo.put("goal_position", 100)
     answer = ask(line, bytes.fromhex("FF FF 01 09 04 2A 00 08 00 00 E8 03 D4"))
-    assert hexed(answer) == "FF FF 01 02 00 FC"
+    assert hex_text(answer) == "FF FF 01 02 00 FC"
     assert servo.get("goal_position") == 100
     assert ask(line, bytes.fromhex("FF FF FE 02 05 FA")) == b""
     assert servo.get("goal_position") == 2048
@@ -59,7 +59,7 @@ def test_sheet_sync_read():
         servo.shaft.angle, servo.supply = count * servo.model.count, volts
         servo.temperature = heat
     answer = ask(line, bytes.fromhex("FF FF FE 06 82 38 08 01 02 36"))
-    assert hexed(answer) == (
+    assert hex_text(answer) == (
         "FF FF 01 0A 00 00 08 00 00 00 00 79 1E 55 FF FF 02 0A 00 FF 07 00 00 00 00 77 23 53"
     )
 
@@ -97,7 +97,7 @@ def test_eeprom_is_kept_only_while_unlocked():
     assert (servo.get("max_torque_limit"), servo.get("torque_limit")) == (500, 500)
 
 
-def loaded(share, **registers):
+def load_servo(share, **registers):
     line, servo = single_servo("STS3215", **registers)
     write1(line, "goal_position", *le16(3000), 0, 0, 0, 0, *le16(1000))
     servo.shaft.torque = share * servo.stall
@@ -105,7 +105,7 @@ def loaded(share, **registers):
 
 
 def test_overload_cuts_to_the_protective_torque_until_the_next_goal():
-    line, servo = loaded(0.85)
+    line, servo = load_servo(0.85)
     pass_time(servo, 1.9)
     assert read1(line, "present_position", 2)[0] == 0
     pass_time(servo, 0.2)
@@ -118,27 +118,27 @@ def test_overload_cuts_to_the_protective_torque_until_the_next_goal():
 
 
 def test_below_overload_torque_nothing_trips():
-    line, servo = loaded(0.75)
+    line, servo = load_servo(0.75)
     pass_time(servo, 10.0)
     assert read1(line, "present_position", 2)[0] == 0
 
 
 def test_lerobots_gripper_settings_trip_early():
-    line, servo = loaded(0.30, overload_torque=25)
+    line, servo = load_servo(0.30, overload_torque=25)
     pass_time(servo, 2.1)
     assert read1(line, "present_position", 2)[0] == OVERLOAD
     assert servo.drive().ceiling == pytest.approx(0.2 * servo.stall)
 
 
 def test_a_condition_does_not_refuse_torque_off():
-    line, servo = loaded(0.85)
+    line, servo = load_servo(0.85)
     pass_time(servo, 2.1)
     assert write1(line, "torque_enable", 0) == 0
     assert not servo.enabled
 
 
 def test_heat_unloads():
-    line, servo = loaded(0.1)
+    line, servo = load_servo(0.1)
     servo.temperature = 75.0
     pass_time(servo, 0.01)
     assert not servo.enabled
@@ -153,7 +153,7 @@ def test_a_servo_for_7_volts_on_12_reports_its_voltage():
 
 
 def test_signs_are_sign_and_magnitude():
-    line, servo = loaded(-0.25)
+    line, servo = load_servo(-0.25)
     servo.shaft.speed = -1.0
     data = read1(line, "present_position", 15)[1]
     assert int.from_bytes(data[2:4], "little") == 0x8000 | 652

@@ -127,7 +127,7 @@ def test_stiffness_of_factory_gains():
     assert servo.drive().stiffness == pytest.approx(19.5, rel=0.01)
 
 
-def strain(servo, seconds):
+def hold_at_limit(servo, seconds):
     servo.shaft.torque = servo.drive().ceiling
     pass_time(servo, seconds)
 
@@ -135,7 +135,7 @@ def strain(servo, seconds):
 def test_overload_cuts_torque_until_reboot():
     line, servo = current_mode()
     write(line, "goal_current", *le16(100))
-    strain(servo, 3.2)
+    hold_at_limit(servo, 3.2)
     assert not servo.enabled
     assert read(line, "hardware_error_status", 1) == (ALERT, bytes([0x20]))
     assert write(line, "torque_enable", 1) == ALERT
@@ -151,7 +151,7 @@ def test_overload_cuts_torque_until_reboot():
 def test_overload_cleared_from_shutdown_only_alerts():
     line, servo = current_mode(shutdown=52 & ~0x20)
     write(line, "goal_current", *le16(100))
-    strain(servo, 3.2)
+    hold_at_limit(servo, 3.2)
     assert servo.enabled
     assert read(line, "present_position", 4)[0] == ALERT
 

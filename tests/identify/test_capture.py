@@ -17,8 +17,8 @@ FOLLOWING = pliant.Settings(
 )
 
 
-def standing(arm, q, settings=FOLLOWING, **differs):
-    """Return an arm in pose q and a controller; `differs`: true values that it does not know."""
+def arm_in_pose(arm, q, settings=FOLLOWING, **differs):
+    """Return an arm in pose q and a controller; `differs`: true values that it does not assume."""
     if differs:
         gap = Mismatch(plant=Parameters(**differs), assumed=Parameters())
         plant = gap.build(arm, encoder_step=COUNT)
@@ -33,7 +33,7 @@ def standing(arm, q, settings=FOLLOWING, **differs):
 
 @pytest.mark.parametrize("kp", [0.5, 0.8, 1.25, 2.0])
 def test_an_arm_that_would_drift_stays_after_the_capture(arm, grasp, kp):
-    plant, controller = standing(arm, grasp, kp=kp)
+    plant, controller = arm_in_pose(arm, grasp, kp=kp)
     capture = identify.capture_gravity(plant, controller)
     assert capture.stays, str(capture)
     assert capture.drift < 2e-3  # measured 0.0007
@@ -44,12 +44,12 @@ def test_an_arm_that_would_drift_stays_after_the_capture(arm, grasp, kp):
 
 
 def test_a_drifting_arm_is_stopped_with_a_remedy():
-    """If k_p is twice the assumed one, the friction feed-forward is too, and the tool drifts."""
+    """With twice the assumed k_p the friction feed-forward is twice too large: the tool drifts."""
     so101 = pliant.robots.so101()
     settings = FOLLOWING.replace(
         task="xyz", axes={"y": pliant.Axis(yields="both", adaptation=0.999)}
     )
-    plant, controller = standing(so101, [0.2, -0.3, 0.3, 0.9, 0.0], settings, kp=2.0)
+    plant, controller = arm_in_pose(so101, [0.2, -0.3, 0.3, 0.9, 0.0], settings, kp=2.0)
     start = plant.tool[:3, 3]
     capture = identify.capture_gravity(plant, controller)
     assert not capture.stays
@@ -62,7 +62,7 @@ def test_a_drifting_arm_is_stopped_with_a_remedy():
 
 
 def test_a_wrong_payload_is_said_to_be_clipped(arm, grasp):
-    plant, controller = standing(arm, grasp, payload=1.2, kp=0.4)
+    plant, controller = arm_in_pose(arm, grasp, payload=1.2, kp=0.4)
     capture = identify.capture_gravity(plant, controller, check=0.0)
     assert capture.clipped.any()
     assert not capture.stays
@@ -70,7 +70,7 @@ def test_a_wrong_payload_is_said_to_be_clipped(arm, grasp):
 
 
 def test_settings_come_back_after_an_exception(arm, grasp):
-    plant, controller = standing(arm, grasp)
+    plant, controller = arm_in_pose(arm, grasp)
     procedure = identify.capture_gravity.procedure(controller)
     for _ in range(5):
         plant.write(procedure.step(plant.read().q).goal)
@@ -80,7 +80,7 @@ def test_settings_come_back_after_an_exception(arm, grasp):
     with pytest.raises(pliant.ShapeError):
         procedure.step(np.full(7, np.nan))
     with pytest.raises(pliant.PliantError):
-        procedure.step(np.zeros(3))  # positions of an arm with another number of joints
+        procedure.step(np.zeros(3))  # positions of an arm with three joints
     assert controller.settings == FOLLOWING
 
 

@@ -1,4 +1,4 @@
-"""`Procedure` and `run_procedure`: any loop can run them, and they restore the settings."""
+"""`Procedure` and `run_procedure`: they run in any loop and restore the settings."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from pliant.identify import Procedure, run_procedure
 
 
 class Still:
-    """A minimal arm: it reaches its goal one tick later."""
+    """Minimal arm that reaches each goal one tick later."""
 
     def __init__(self, n=2):
         self.q, self.sent = np.zeros(n), []

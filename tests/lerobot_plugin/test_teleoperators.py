@@ -29,7 +29,7 @@ def leader(plugin):
         leader.disconnect()
 
 
-def fastest(leader, seconds):
+def largest_speed(leader, seconds):
     """Return the largest joint speed [rad/s] during `seconds` of simulated time."""
     plant, samples = plant_of(leader), []
     wait_for(lambda: samples.append((plant.time, plant.q.copy())), seconds)
@@ -58,14 +58,14 @@ def test_a_leader_hands_over_and_back_without_a_jump(leader):
         leader.send_feedback({"shoulder_pan.pos": math.nan})
     start = leader.get_action()
     leader.send_feedback({"shoulder_pan.pos": start["shoulder_pan.pos"] + 40.0, "other.pos": 1.0})
-    assert fastest(leader, 3.0) < 0.9
+    assert largest_speed(leader, 3.0) < 0.9
     assert leader.get_action()["shoulder_pan.pos"] == pytest.approx(
         start["shoulder_pan.pos"] + 40.0, abs=2.0
     )
 
     final_q = plant_of(leader).q.copy()
     leader.disable_torque()
-    assert fastest(leader, 4.0) < 0.2
+    assert largest_speed(leader, 4.0) < 0.2
     assert guiding.ready
     assert plant_of(leader).q == pytest.approx(final_q, abs=0.03)
 
@@ -75,7 +75,7 @@ def test_a_gap_in_the_loop_does_not_swing_the_leader_again(leader):
     loop, start = leader._session.control._loop, plant_of(leader).q.copy()
     loop._restart(arm_of(leader).read().q, first=False)
     assert loop.controller.ready
-    assert fastest(leader, 2.0) < 0.2
+    assert largest_speed(leader, 2.0) < 0.2
     assert plant_of(leader).q == pytest.approx(start, abs=0.03)
     assert leader.get_action()
 

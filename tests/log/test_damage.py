@@ -1,4 +1,4 @@
-"""Truncated and damaged logs: reading gives an explained error or the data before the damage."""
+"""Truncated and damaged logs: reading gives a typed error, or the data before the damage."""
 
 import io
 import random
@@ -19,8 +19,8 @@ from pliant.teach import Motion
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
-    """Return a short log of a moving arm, its bytes and its columns."""
+def recording(tmp_path_factory):
+    """Record a moving arm for 2 s; return the bytes of the log file, and the log."""
     path = tmp_path_factory.mktemp("log") / "run.mcap"
     with bare_arm("so101", on_exit="leave_enabled") as arm:
         controller = pliant.Controller(arm.model, pliant.Settings.soft("y", task="xyz"), arm.servos)
@@ -32,7 +32,7 @@ def made(tmp_path_factory):
 
 
 @pytest.fixture
-def damaged(log_file, tmp_path):
+def damaged(recording, tmp_path):
     """Return a function that writes bytes to a log file and returns its path."""
 
     def write(content):
@@ -44,7 +44,7 @@ def damaged(log_file, tmp_path):
 
 
 def prefix(log, whole):
-    """Return True if a log is a prefix of another."""
+    """Return True if `log` is a prefix of `whole`."""
     assert log.run == whole.run
     assert len(log) <= len(whole)
     assert len(log.calls) <= len(whole.calls)
@@ -53,8 +53,8 @@ def prefix(log, whole):
         np.testing.assert_array_equal(column, whole.columns[name][: len(log)], err_msg=name)
 
 
-def test_a_damaged_log_is_explained_or_a_prefix(made, damaged):
-    content, whole = made
+def test_a_damaged_log_is_explained_or_a_prefix(recording, damaged):
+    content, whole = recording
     outcomes = Counter()
     for seed in range(300):
         dice = random.Random(seed)
@@ -76,8 +76,8 @@ def test_a_damaged_log_is_explained_or_a_prefix(made, damaged):
     assert min(outcomes[kind] for kind in ("explained", "damaged", "cut")) > 3, outcomes
 
 
-def test_a_log_that_was_cut_anywhere_is_a_prefix(made, damaged):
-    content, whole = made
+def test_a_log_that_was_cut_anywhere_is_a_prefix(recording, damaged):
+    content, whole = recording
     for size in range(len(content) // 3, len(content) - len(MAGIC), len(content) // 60):
         log = read(damaged(content[:size]))
         prefix(log, whole)
@@ -86,8 +86,8 @@ def test_a_log_that_was_cut_anywhere_is_a_prefix(made, damaged):
     assert verify(log).same
 
 
-def test_a_missing_chunk_is_damage(made, damaged):
-    content, whole = made
+def test_a_missing_chunk_is_damage(recording, damaged):
+    content, whole = recording
     chunks, offset = [], 8
     while content[offset] != 2:  # footer
         length = int.from_bytes(content[offset + 1 : offset + 9], "little")
@@ -102,10 +102,10 @@ def test_a_missing_chunk_is_damage(made, damaged):
 
 
 def test_a_cut_log_is_replayed_up_to_there_and_a_damaged_one_is_not(
-    made, damaged, capsys, monkeypatch
+    recording, damaged, capsys, monkeypatch
 ):
     monkeypatch.setattr("sys.stdin", io.StringIO())
-    content, _ = made
+    content, _ = recording
     argv = ["replay", "so101", str(damaged(content[: 3 * len(content) // 4])), "--backend", "sim"]
     assert main(argv) == 0
     out = capsys.readouterr().out

@@ -67,7 +67,7 @@ def records(content):
         offset += HEAD.size + length
 
 
-def rebuilt(content, change):
+def rebuild(content, change):
     """Return the file with its records changed by `change`, a function of kind and body."""
     out = [content[:8]]
     for kind, body in records(content):
@@ -93,7 +93,7 @@ def with_run(content, run):
         body = body[:offset] + struct.pack("<Q", len(text)) + text
         return body + struct.pack("<I", zlib.crc32(body))
 
-    return rebuilt(content, change)
+    return rebuild(content, change)
 
 
 def description_of(content):
@@ -187,7 +187,7 @@ def test_a_chunk_that_unpacks_to_too_much_is_refused(content, gigabytes, tmp_pat
             )
 
         path = tmp_path / "bomb.mcap"
-        path.write_bytes(rebuilt(content, change))
+        path.write_bytes(rebuild(content, change))
         log = read(path)
         assert "unpacks to" in log.damage
         assert len(log) == 0

@@ -68,7 +68,7 @@ def test_the_same_inputs_give_the_same_commands(file):
     }  # fmt: skip
     again = verify(log)
     assert again.same
-    assert again.steps == len(log) + 1  # the loop primes the controller with a step of its own
+    assert again.steps == len(log) + 1  # the loop adds a step before the first tick
     np.testing.assert_array_equal(again.goal[1:], log.goal)
 
 
@@ -78,7 +78,7 @@ def test_every_input_counts(file, field):
     if field == "call":
         log.calls = [call for call in log.calls if call.what != "update"]
     elif field == "dt":
-        # Change dt in all calls: a single step with dq may give the same command without it.
+        # Change dt in all calls: in one step, with dq given, it may have no effect.
         for call in log.calls:
             if call.what == "step" and np.isfinite(call.dt):
                 call.dt *= 1.01

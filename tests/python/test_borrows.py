@@ -34,7 +34,7 @@ class Array:
         return Q.copy()
 
 
-def made():
+def make_objects():
     controller = pliant.Controller(MODEL, pliant.Settings.firm(task="xyz"))
     contact = pliant.ContactEstimator(controller)
     target = MODEL.forward_kinematics(Q)
@@ -67,12 +67,12 @@ def uses(controller, contact, target):
     }
 
 
-NAMES = list(uses(*made()))
+NAMES = list(uses(*make_objects()))
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_arguments_may_use_the_controller_that_reads_them(name):
-    controller, contact, target = made()
+    controller, contact, target = make_objects()
     use = uses(controller, contact, target)[name]
     calls = [
         lambda: controller.step(Q, Accessor(use)),
@@ -89,7 +89,7 @@ def test_arguments_may_use_the_controller_that_reads_them(name):
 
 
 def test_a_batch_state_may_be_used_while_its_arguments_are_read():
-    controller, _, target = made()
+    controller, _, target = make_objects()
     state = controller.batch_state(2)
     rows = np.array([Q, Q])
     call = lambda: controller.step_batch(rows, target, state=state)  # noqa: E731
@@ -98,7 +98,7 @@ def test_a_batch_state_may_be_used_while_its_arguments_are_read():
 
 
 def test_a_contact_in_another_thread_meets_no_panic():
-    controller, contact, _target = made()
+    controller, contact, _target = make_objects()
     is_over, unexpected, calls = threading.Event(), [], []
     accessor = Accessor(lambda: is_over.wait(1e-4))
 
@@ -122,7 +122,7 @@ def test_a_contact_in_another_thread_meets_no_panic():
 
 def test_objects_in_use_raise():
     """The state of a batch cannot be changed while the batch runs without interpreter lock."""
-    controller, _, target = made()
+    controller, _, target = make_objects()
     rows = np.tile(Q, (20_000, 1))
     state = controller.batch_state(len(rows))
     is_over, messages = threading.Event(), []
@@ -151,7 +151,7 @@ def test_objects_in_use_raise():
 
 
 def test_masked_arrays_are_no_numbers():
-    controller, contact, target = made()
+    controller, contact, target = make_objects()
     masked = np.ma.array(Q, mask=[True, False, False, False, False])
     pose = np.ma.array(target, mask=False)
     for call in (
@@ -171,7 +171,7 @@ def test_masked_arrays_are_no_numbers():
 
 
 def test_numpy_truth_values_are_no_numbers():
-    controller, contact, target = made()
+    controller, contact, target = make_objects()
     for value in (True, np.bool_(True), np.array(True), np.array(False)):
         for call in (
             lambda value=value: controller.step(Q, target, dt=value),
@@ -189,7 +189,7 @@ def test_numpy_truth_values_are_no_numbers():
 
 
 def test_a_command_that_cannot_be_written_is_refused_before_the_step():
-    controller, _, target = made()
+    controller, _, target = make_objects()
     out = controller.step(Q, target)
     goal = out.goal.copy()
 

@@ -34,7 +34,7 @@ def bits(command: pliant.Command) -> tuple[bytes, bytes, bytes]:
     return tuple(x.tobytes() for x in (command.goal, command.torque_limit, command.speed_limit))
 
 
-def told(controller: pliant.Controller, q: np.ndarray) -> None:
+def change_state(controller: pliant.Controller, q: np.ndarray) -> None:
     """Change all parts of a controller's state that its methods can change."""
     controller.set_payload(0.3, (0.0, 0.01, 0.05))
     controller.set_gravity((0.5, 0.0, -9.7))
@@ -52,7 +52,7 @@ def test_a_copy_goes_on_to_the_bit(model, q, target, method, law):
     controller = pliant.Controller(model, LAWS[law])
     restored = COPIES[method](controller)
     assert steps(controller, q, target, 8) == steps(restored, q, target, 8)
-    told(controller, q)
+    change_state(controller, q)
     running = COPIES[method](controller)
     assert running is not controller
     assert running.settings == controller.settings
@@ -114,7 +114,7 @@ def test_what_another_arm_carried_is_refused(model, q, target):
     other = pliant.robots.so101()
     for damage, match in (
         (lambda c: c.step(q, target), "state"),
-        (lambda c: told(c, q), "captured"),
+        (lambda c: change_state(c, q), "captured"),
     ):
         controller = pliant.Controller(
             model,

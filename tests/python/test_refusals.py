@@ -8,7 +8,7 @@ import pytest
 import pliant
 
 
-def refused(call, *args, **kwargs) -> str:
+def error_text(call, *args, **kwargs) -> str:
     with pytest.raises((pliant.PliantError, TypeError, OSError)) as error:
         call(*args, **kwargs)
     return str(error.value)
@@ -17,14 +17,14 @@ def refused(call, *args, **kwargs) -> str:
 @pytest.mark.parametrize("dt", [1.01, 10.0])
 def test_a_time_in_milliseconds_is_no_time(controller, model, q, target, dt):
     message = rf"dt [s] = {dt:g} is outside (0, 1]; is it in milliseconds?"
-    assert refused(controller.step, q, target, dt=dt) == message
-    assert refused(controller.step_joints, q, q, dt=dt) == message
-    assert refused(controller.step_batch, q[None], target, dt=dt) == message
-    assert refused(pliant.ContactEstimator(controller).update, q, dt=dt) == message
+    assert error_text(controller.step, q, target, dt=dt) == message
+    assert error_text(controller.step_joints, q, q, dt=dt) == message
+    assert error_text(controller.step_batch, q[None], target, dt=dt) == message
+    assert error_text(pliant.ContactEstimator(controller).update, q, dt=dt) == message
     for instance in (controller, pliant.Controller(model, pliant.Settings(rate=1.0))):
         instance.step(q, target, dt=None if instance is not controller else 1.0)
-    assert refused(controller.step, q, target, dt=0.0) == "dt [s] = 0 is outside (0, 1]"
-    assert refused(controller.step, q, target, dt=np.nan) == "dt [s] = NaN is outside (0, 1]"
+    assert error_text(controller.step, q, target, dt=0.0) == "dt [s] = 0 is outside (0, 1]"
+    assert error_text(controller.step, q, target, dt=np.nan) == "dt [s] = NaN is outside (0, 1]"
 
 
 @pytest.mark.parametrize("axis", range(3))
@@ -32,15 +32,15 @@ def test_a_place_in_millimetres_is_no_place(model, q, target, axis):
     controller = pliant.Controller(model, pliant.Settings(task="xyz"))
     position = target[:3, 3].copy()
     position[axis] = target[axis, 3] = -250.0
-    message = refused(model.check_target, position).removeprefix("target")
+    message = error_text(model.check_target, position).removeprefix("target")
     assert message.startswith(": distance of position [")
     assert "outside [0, 1.520]: the arm reaches 0.710 m; is it in millimetres?" in message
-    assert refused(controller.step, q, target) == f"target{message}"
-    assert refused(controller.step, q, position) == f"target{message}"
-    assert refused(controller.step_batch, q[None], target) == f"targets{message}"
-    assert refused(controller.step_batch, q[None], position[None]).endswith(message)
+    assert error_text(controller.step, q, target) == f"target{message}"
+    assert error_text(controller.step, q, position) == f"target{message}"
+    assert error_text(controller.step_batch, q[None], target) == f"targets{message}"
+    assert error_text(controller.step_batch, q[None], position[None]).endswith(message)
     expected = f"position {'xyz'[axis]} [m] = -250 is outside ±100; is it in millimetres?"
-    assert refused(model.inverse_kinematics, target, q).endswith(expected)
+    assert error_text(model.inverse_kinematics, target, q).endswith(expected)
     position[axis] = 1.2
     goals = controller.step_batch(np.stack([q, q]), position).goal
     assert np.isfinite(goals).all()
@@ -51,17 +51,17 @@ def test_a_pose_with_a_wrong_last_row_is_no_posture(model, target):
     controller = pliant.Controller(model)
     target[3, 0] = 1.0
     message = "last row of a 4×4 pose must be 0 0 0 1, got 1 0 0 1"
-    assert refused(controller.check, target) == f"path_or_pose: {message}"
+    assert error_text(controller.check, target) == f"path_or_pose: {message}"
 
 
 def test_what_is_not_a_number_is_said_plainly(model, q, target):
     invalid_q = np.where(np.arange(7) == 2, np.nan, q)
     name = model.joint_names[2]
-    assert refused(model.forward_kinematics, invalid_q) == f"q[2] ({name}) = NaN is outside ±1e6"
+    assert error_text(model.forward_kinematics, invalid_q) == f"q[2] ({name}) = NaN is outside ±1e6"
     controller = pliant.Controller(model)
-    assert refused(controller.step, invalid_q, target) == f"q[2] ({name}) = NaN is outside ±1e6"
+    assert error_text(controller.step, invalid_q, target) == f"q[2] ({name}) = NaN is outside ±1e6"
     target[0, 3] = np.inf
-    message = refused(controller.step, q, target)
+    message = error_text(controller.step, q, target)
     assert message == "target: position x [m] = inf is outside ±100"
 
 
@@ -148,22 +148,22 @@ def calls(model, q):
 
 def test_an_argument_of_another_kind_is_named_with_what_would_do(model, q):
     for name, (call, expected) in calls(model, q).items():
-        message = refused(call)
+        message = error_text(call)
         assert message.startswith(name.strip()), message
         assert f"must be {expected}" in message, message
 
 
 def test_an_axis_is_named_by_what_it_is(model):
-    assert refused(pliant.Axis, soft=5, firm=1) == "Axis.soft = 5 is outside [0, firm = 1]"
+    assert error_text(pliant.Axis, soft=5, firm=1) == "Axis.soft = 5 is outside [0, firm = 1]"
     settings = pliant.Settings(
         axes={"y": pliant.Axis(yields="both", stiffness=1e5)}, law="impedance"
     )
-    message = refused(pliant.Controller, model, settings)
+    message = error_text(pliant.Controller, model, settings)
     assert "axes.stiffness: y=100000 N/m is" in message
     assert " times what the median pose can have" in message
 
 
 def test_the_variant_of_a_servo_that_fits_the_supply_is_named():
-    message = refused(pliant.Servos.of, ["STS3215-7.4V"], voltage=12.0)
+    message = error_text(pliant.Servos.of, ["STS3215-7.4V"], voltage=12.0)
     assert "STS3215-7.4V takes 4 to 8.4 V, got 12 V; for 12 V there is STS3215-12V;" in message
-    assert "there is" not in refused(pliant.Servos.of, ["STS3215-7.4V"], voltage=100.0)
+    assert "there is" not in error_text(pliant.Servos.of, ["STS3215-7.4V"], voltage=100.0)

@@ -140,7 +140,7 @@ def along_y(model, q):
     return (springs @ np.linalg.inv(jacobian @ springs))[:, 1]
 
 
-def near_a_stop(model, q, room):
+def arm_near_limit(model, q, room):
     """Return the arm with a joint at the distance `room` [rad] from its upper limit.
 
     It is the joint that a motion along +y turns most.
@@ -153,7 +153,7 @@ def near_a_stop(model, q, room):
 
 def test_a_position_limit_is_announced_where_it_is_met(model, q):
     settings = pliant.Settings(axes={"y": pliant.Axis(soft=4.0, firm=15.0)})
-    limited_model, joint = near_a_stop(model, q, 0.035)
+    limited_model, joint = arm_near_limit(model, q, 0.035)
     report = pliant.Controller(limited_model, settings).report(q)
     towards_minus, stop = report.axes["y"].stop
     assert towards_minus is None
@@ -181,7 +181,7 @@ def test_an_axis_without_a_stop_in_its_way_announces_none(model, q):
     report = pliant.Controller(robots.arm7(limits=limits), settings).report(q)
     assert all(axis.stop == (None, None) for axis in report.axes.values())
     assert not any("limit:" in line for line in report.summary())
-    report = pliant.Controller(near_a_stop(model, q, 0.0)[0], settings).report(q)
+    report = pliant.Controller(arm_near_limit(model, q, 0.0)[0], settings).report(q)
     towards_minus, stop = report.axes["y"].stop
     assert towards_minus is None
     assert stop.distance == 0.0
@@ -190,7 +190,7 @@ def test_an_axis_without_a_stop_in_its_way_announces_none(model, q):
 
 def test_check_notes_a_stop_that_comes_before_the_whole_cap(model, q):
     settings = pliant.Settings(axes={"y": pliant.Axis(soft=4.0, firm=15.0)})
-    limited_model, joint = near_a_stop(model, q, 0.035)
+    limited_model, joint = arm_near_limit(model, q, 0.035)
     check = pliant.feasibility.check_path(limited_model, settings, np.array([q, q - 0.01]))
     assert check.achievable, "a note, not a demand"
     (note,) = [f for f in check.issues if "position limit when" in f.reason]

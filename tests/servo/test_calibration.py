@@ -24,7 +24,7 @@ def lerobot_file(folder, **changes):
     return file
 
 
-def opened(name, folder, **changes):
+def open_bus(name, folder, **changes):
     """Open the calibrated arm of a built-in file with a calibration file changed by `wrong`."""
     matching = config.load(name, backend="emulator", calibration=lerobot_file(folder))
     changed = config.load(name, backend="emulator", calibration=lerobot_file(folder, **changes))
@@ -44,7 +44,7 @@ def opened(name, folder, **changes):
 
 @pytest.mark.parametrize("name", ["so101", "koch"])
 def test_a_file_that_lerobot_wrote_passes(name, tmp_path):
-    notes, servo_bus = opened(name, tmp_path)
+    notes, servo_bus = open_bus(name, tmp_path)
     assert servo_bus.found
     assert not [note for note in notes if "calibration" in note]
 
@@ -61,7 +61,7 @@ def test_a_file_that_lerobot_wrote_passes(name, tmp_path):
 )
 def test_a_file_of_another_arm_is_refused_with_the_angle(name, entry, message, tmp_path):
     with pytest.raises(pliant.ServoError, match=message) as error:
-        opened(name, tmp_path, elbow_flex=entry)
+        open_bus(name, tmp_path, elbow_flex=entry)
     assert "lerobot-calibrate" in str(error.value)
     assert "shoulder_pan" not in str(error.value)
 
@@ -69,7 +69,7 @@ def test_a_file_of_another_arm_is_refused_with_the_angle(name, entry, message, t
 def test_every_joint_that_differs_is_named(tmp_path):
     changes = {joint: {"homing_offset": 900} for joint in JOINTS}
     with pytest.raises(pliant.ServoError) as error:
-        opened("so101", tmp_path, **changes)
+        open_bus("so101", tmp_path, **changes)
     for joint in JOINTS:
         assert f"{joint} (id" in str(error.value)
 
@@ -77,8 +77,8 @@ def test_every_joint_that_differs_is_named(tmp_path):
 def test_a_direction_that_the_servo_has_not_is_refused_and_one_of_lerobots_own_is_said(tmp_path):
     changes = {"wrist_flex": {"drive_mode": 1}}
     with pytest.raises(pliant.ServoError, match=r"drive_mode 1, the servo 0: it counts in"):
-        opened("koch", tmp_path, **changes)
-    notes, _ = opened("so101", tmp_path, **changes)
+        open_bus("koch", tmp_path, **changes)
+    notes, _ = open_bus("so101", tmp_path, **changes)
     assert len([note for note in notes if "drive_mode 1" in note and "`sign`" in note]) == 1
 
 

@@ -23,7 +23,7 @@ def servo_bus_on(bus, kind, n, patience=0.005):
     return ServoBus(specs, reply_timeout_min=patience, clock=ManualClock(bus))
 
 
-def strike(bus, fault, index):
+def fault_request(bus, fault, index):
     """Apply `fault` to the request number `place`, counted from 1; return the request count.
 
     The count is a list of one number, which grows with each request.
@@ -51,7 +51,7 @@ def enable_with_old_goals(kind, fault, index):
                 servo.put(name, 0)
         start = np.array([servo.shaft.angle for servo in bus.servos])
         goal = servo_bus.read().position
-        count = strike(bus, fault, index)
+        count = fault_request(bus, fault, index)
         distances = []
         try:
             servo_bus.enable(goal, 0.5 * servo_bus.servos.max_torque)

@@ -1,4 +1,4 @@
-"""Arguments of plant, hand guiding and identification: rejected with name, value, remedy."""
+"""Invalid arguments of plant, hand guiding and identification: errors with name and remedy."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Simulated bus: lost data, delay and resolution, reproducible with the same seed."""
+"""Simulated bus: lost data, delays, resolution; equal seeds give equal results."""
 
 import numpy as np
 import pytest
@@ -7,8 +7,8 @@ import pliant
 from pliant.sim import Plant
 
 
-def moving(plant, start, ticks, speed=0.5):
-    """Move all joints; return readings, true positions and freshness, one row per tick."""
+def move_joints(plant, start, ticks, speed=0.5):
+    """Move all joints; return readings, true positions and freshness of the reading, by tick."""
     plant.reset(start)
     readings, true, freshness = [], [], []
     for tick in range(ticks):
@@ -23,7 +23,7 @@ def moving(plant, start, ticks, speed=0.5):
 
 @pytest.mark.parametrize("ticks", [0, 1, 3])
 def test_read_delay_is_exactly_so_many_ticks(arm, grasp, ticks):
-    readings, true, _ = moving(Plant(arm, delay=(ticks, 0)), grasp, 30)
+    readings, true, _ = move_joints(Plant(arm, delay=(ticks, 0)), grasp, 30)
     np.testing.assert_array_equal(readings[ticks:], true[: 30 - ticks])
     np.testing.assert_array_equal(readings[:ticks], np.tile(grasp, (ticks, 1)))
 
@@ -59,7 +59,7 @@ def test_a_command_holds_until_the_next(arm, grasp):
 def test_readings_and_goals_lie_on_counts(arm, grasp):
     count = 2 * np.pi / 4096
     plant = Plant(arm, encoder_step=count, encoder_flicker=1)
-    readings, true, _ = moving(plant, grasp, 200)
+    readings, true, _ = move_joints(plant, grasp, 200)
     steps = readings / count
     np.testing.assert_allclose(steps, np.round(steps), atol=1e-9)
     errors = np.round((readings - np.round(true / count) * count) / count).astype(int)
@@ -70,31 +70,31 @@ def test_readings_and_goals_lie_on_counts(arm, grasp):
 
 
 def test_noise_has_the_asked_spread(arm, grasp):
-    readings, true, _ = moving(Plant(arm, noise=1e-3), grasp, 300)
+    readings, true, _ = move_joints(Plant(arm, noise=1e-3), grasp, 300)
     assert np.std(readings - true) == pytest.approx(1e-3, rel=0.05)
 
 
 def test_losses_have_the_asked_rate_and_repeat_the_last(arm, grasp):
-    readings, _, freshness = moving(Plant(arm, read_loss=0.3, seed=4), grasp, 1000)
+    readings, _, freshness = move_joints(Plant(arm, read_loss=0.3, seed=4), grasp, 1000)
     assert 1.0 - freshness.mean() == pytest.approx(0.3, abs=0.05)
     losses = np.flatnonzero(~freshness[1:]) + 1
     np.testing.assert_array_equal(readings[losses], readings[losses - 1])
 
 
 def test_lost_writes_change_the_motion_and_all_lost_is_no_write(arm, grasp):
-    without_loss = moving(Plant(arm), grasp, 50)[1]
-    with_loss = moving(Plant(arm, write_loss=0.5), grasp, 50)[1]
+    without_loss = move_joints(Plant(arm), grasp, 50)[1]
+    with_loss = move_joints(Plant(arm, write_loss=0.5), grasp, 50)[1]
     assert np.abs(with_loss - without_loss).max() > 1e-4
     plant, unwritten = Plant(arm, write_loss=1.0), Plant(arm)
     unwritten.reset(grasp)
-    motion = moving(plant, grasp, 50)[1]
+    motion = move_joints(plant, grasp, 50)[1]
     for row in motion:
         np.testing.assert_array_equal(row, unwritten.q)
         unwritten.advance()
 
 
 def test_silence_freezes_both_directions(arm, grasp):
-    readings, _, freshness = moving(Plant(arm, bus_outage=(0.1, 0.3)), grasp, 50)
+    readings, _, freshness = move_joints(Plant(arm, bus_outage=(0.1, 0.3)), grasp, 50)
     assert freshness[:10].all()
     assert not freshness[11:29].any()
     assert freshness[31:].all()
@@ -110,12 +110,12 @@ def test_equal_seeds_are_equal_bit_for_bit_and_resets_start_anew(arm, grasp):
         "write_loss": 0.2,
     }
     plant = Plant(arm, seed=5, **options)
-    first, again = moving(plant, grasp, 60), moving(plant, grasp, 60)
-    other = moving(Plant(arm, seed=5, **options), grasp, 60)
+    first, again = move_joints(plant, grasp, 60), move_joints(plant, grasp, 60)
+    other = move_joints(Plant(arm, seed=5, **options), grasp, 60)
     for run in (again, other):
         for left, right in zip(first, run, strict=True):
             np.testing.assert_array_equal(left, right)
-    other_run = moving(Plant(arm, seed=6, **options), grasp, 60)
+    other_run = move_joints(Plant(arm, seed=6, **options), grasp, 60)
     assert np.any(other_run[0] != first[0])
 
 

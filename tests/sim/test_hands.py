@@ -1,4 +1,4 @@
-"""Hands and walls: size and point of application of their forces, and the recorded forces."""
+"""Hands and walls: magnitude, point of application and record of their forces."""
 
 import numpy as np
 import pytest
@@ -24,8 +24,8 @@ from pliant.sim import (
 ALWAYS = ForceProfile(start=0.0, rise=0.0, end=100.0)
 
 
-def settled(arm, grasp, hand, ticks=800):
-    """Hold the pose with plain servos without friction until everything is at rest."""
+def settle(arm, grasp, hand, ticks=800):
+    """Hold the pose with servos without friction until arm and hand are at rest."""
     plant = Plant(arm, friction_scale=0.0, scene=[hand])
     plant.reset(grasp)
     for _ in range(ticks):
@@ -37,7 +37,7 @@ def settled(arm, grasp, hand, ticks=800):
 @pytest.mark.parametrize("frame", ["tool", "wrist", "forearm_link"])
 def test_a_push_reaches_the_joints_as_its_frame_says(arm, grasp, frame):
     force = np.array((2.0, -3.0, 1.0))
-    plant = settled(arm, grasp, Push(force_vector=force, at=frame, course=ALWAYS))
+    plant = settle(arm, grasp, Push(force_vector=force, at=frame, course=ALWAYS))
     link = {"tool": "tool", "wrist": "gripper_link"}.get(frame, frame)
     text = arm.source[0]
     part = pliant.Model.from_urdf_str(text, base="base", tip=link)
@@ -49,7 +49,7 @@ def test_a_push_reaches_the_joints_as_its_frame_says(arm, grasp, frame):
 
 def test_a_torque_reaches_the_joints(arm, grasp):
     torque = np.array((0.3, -0.2, 0.5))
-    plant = settled(arm, grasp, Push(torque_vector=torque, course=ALWAYS))
+    plant = settle(arm, grasp, Push(torque_vector=torque, course=ALWAYS))
     expected = arm.jacobian(plant.q)[3:].T @ torque
     np.testing.assert_allclose(plant.torque, arm.gravity(plant.q) - expected, atol=1e-5)
 

@@ -1,4 +1,4 @@
-"""Drawer, surface, hand-over and socket: simulated forces against values calculated by hand."""
+"""Drawer, surface, hand-over and socket: simulated forces and values calculated by hand."""
 
 import mujoco
 import numpy as np
@@ -32,9 +32,9 @@ def test_a_drawer_slides_on_its_line_to_its_stop(arm, floating):
 
 @pytest.mark.parametrize(("side_force", "opens"), [(0.0, True), (12.0, False)])
 def test_a_drawer_binds_under_a_force_across(arm, floating, side_force, opens):
-    """A pull of 5 N opens a drawer with 3 N of friction, unless 12 N across add 3.6 N.
+    """A pull of 5 N opens a drawer with 3 N of friction, unless a side force of 12 N adds 3.6 N.
 
-    The binding factor is 0.3.
+    The ratio of this friction to the side force is 0.3.
     """
     box = drawer()
     plant = scene(arm, box, pull((-5.0, side_force, 0.0)))
@@ -46,8 +46,8 @@ def test_a_drawer_binds_under_a_force_across(arm, floating, side_force, opens):
     assert box.across == pytest.approx(side_force, abs=1.5)
 
 
-def pressed(arm, surface, height, grasp):
-    """Return force and torque on a pad that is held `height` [m] above its start."""
+def press_pad(arm, surface, height, grasp):
+    """Return force [N] and torque [N·m] on a pad that is held `height` [m] above its start."""
     plant = scene(arm, surface)
     plant.reset(grasp)
     frame = plant.ground_truth.frame("tool")
@@ -57,11 +57,11 @@ def pressed(arm, surface, height, grasp):
 
 def test_a_surface_pushes_by_depth_and_not_from_afar(arm, grasp):
     flat = Surface(below=0.01, unevenness=0.0, stiffness=1e4, friction=0.0)
-    force, torque, _ = pressed(arm, flat, -0.012, grasp)
+    force, torque, _ = press_pad(arm, flat, -0.012, grasp)
     np.testing.assert_allclose(force, (0.0, 0.0, 20.0), atol=0.1)
     # The pad is tilted by up to 0.01° in the grasp pose, which causes a small torque.
     np.testing.assert_allclose(torque, 0.0, atol=0.02)
-    force, _, _ = pressed(arm, flat, -0.009, grasp)
+    force, _, _ = press_pad(arm, flat, -0.009, grasp)
     assert not force.any()
 
 
@@ -106,7 +106,7 @@ def test_an_object_is_carried_taken_and_let_go(arm, grasp):
     )
 
 
-def down(arm, socket, grasp, depth, ticks=150):
+def insert_plug(arm, socket, grasp, depth, ticks=150):
     """Move the plug straight down by position control along a path of joint positions."""
     plant = Plant(arm, friction_scale=0.0, scene=[socket])
     plant.reset(grasp)
@@ -123,7 +123,7 @@ def down(arm, socket, grasp, depth, ticks=150):
 
 def test_a_plug_goes_into_its_hole_and_ends_on_the_floor(arm, grasp):
     socket = Socket()
-    down(arm, socket, grasp, 0.055)
+    insert_plug(arm, socket, grasp, 0.055)
     assert socket.deepest == pytest.approx(socket.depth, abs=1.5e-3)
     assert socket.peak_along > 1.0
 
@@ -138,14 +138,14 @@ def test_a_tilted_socket_is_turned_by_its_tilt(arm, grasp):
 
 def test_a_plug_beside_its_hole_stays_out(arm, grasp):
     socket = Socket(offset=(0.02, 0.0, -0.02))
-    down(arm, socket, grasp, 0.055)
+    insert_plug(arm, socket, grasp, 0.055)
     assert socket.deepest < 0.006
     assert socket.peak_along > 3.0
 
 
 def test_a_plug_in_the_air_touches_nothing(arm, grasp):
     socket = Socket()
-    plant = down(arm, socket, grasp, 0.015)
+    plant = insert_plug(arm, socket, grasp, 0.015)
     assert plant.mj_data.ncon == 0
     assert socket.force == socket.peak_along == socket.peak_across == 0.0
 

@@ -1,4 +1,4 @@
-"""Simulation built from a model: same kinematics and gravity, for every available robot."""
+"""Simulation built from a model: equal kinematics and gravity, for every available robot."""
 
 import json
 import re

@@ -1,4 +1,4 @@
-"""The table under an arm: every link that can move vertically touches it."""
+"""The table under an arm: links that can move vertically collide with it."""
 
 import numpy as np
 import pytest
@@ -8,8 +8,8 @@ from pliant.sim import Plant, Tabletop
 from pliant.sim._model_builder import rigid_groups
 
 
-def lie(model, q, *, seconds=3.0, table=True, rotation=None):
-    """Let an arm without torque sink onto its table from q; return plant and table."""
+def settle_on_table(model, q, *, seconds=3.0, table=True, rotation=None):
+    """Let an arm without torque sink from q onto its table; return plant and table."""
     scene = [Tabletop()] if table else []
     plant = Plant(model, scene=scene)
     plant.reset(q)
@@ -23,8 +23,8 @@ def lie(model, q, *, seconds=3.0, table=True, rotation=None):
 def test_an_arm_without_torque_comes_to_lie_on_its_table():
     model = pliant.robots.so101()
     q = [0.4, 0.6, 0.5, 0.3, 0.0]
-    plant, table = lie(model, q)
-    without_table, _ = lie(model, q, table=False)
+    plant, table = settle_on_table(model, q)
+    without_table, _ = settle_on_table(model, q, table=False)
     weight = 9.81 * sum(link.inertial.mass for link in model.links if link.inertial)
     assert without_table.tool[2, 3] < -0.05, "without a table it hangs below its base"
     assert plant.tool[2, 3] > 0.005
@@ -40,7 +40,7 @@ def test_an_arm_without_torque_comes_to_lie_on_its_table():
     [("koch", [0.0, 1.75, -1.7, 0.0, 0.0]), ("so101", [0.0, 1.5, -1.3, -0.6, 0.0])],
 )
 def test_other_links_than_the_tool_touch_it_too(name, q):
-    _, table = lie(pliant.robots.load(name), q)
+    _, table = settle_on_table(pliant.robots.load(name), q)
     assert {"lower_arm", "gripper"} <= set(table.touching)
 
 

@@ -27,7 +27,7 @@ def test_there_are_twenty_and_more():
     assert len(BY_TITLE) == len(FAULT_CASES)
 
 
-def jumped(shift=0.0):
+def run_jump(shift=0.0):
     """Let the target jump while a hand holds the tool.
 
     `shift` [s] is the time within a tick at which the hand takes hold.
@@ -43,9 +43,9 @@ def throws_neither_the_arm_nor_a_hand(found):
 
 
 def test_a_target_that_jumps_throws_neither_the_arm_nor_a_hand_and_repeats_to_the_bit():
-    found = jumped()
+    found = run_jump()
     throws_neither_the_arm_nor_a_hand(found)
-    assert found == jumped()
+    assert found == run_jump()
 
 
 @pytest.mark.parametrize("title", POWERED)
@@ -74,7 +74,7 @@ def test_an_arm_whose_servos_restarted_does_not_get_up_by_itself():
 @pytest.mark.full
 @pytest.mark.parametrize("shift", [0.002, 0.004, 0.006, 0.008])
 def test_a_jump_at_another_time_within_a_tick_is_no_worse(shift):
-    throws_neither_the_arm_nor_a_hand(jumped(shift))
+    throws_neither_the_arm_nor_a_hand(run_jump(shift))
 
 
 @pytest.mark.full

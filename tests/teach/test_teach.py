@@ -30,10 +30,10 @@ def wave(seconds=2.0, size=0.3):
 
 
 def play(motion, scene=(), seconds=30.0, during=lambda replay, tick: None, **options):
-    """Replay a motion on an SO-101; return the replay, an array of rows, and the final state.
+    """Replay a motion on an SO-101; return the replay, an array with a row per tick, and the state.
 
-    The row of a tick has its time [s], the replay's time [s], the hand's force [N], the tool's
-    position (3,) [m], and the position in the motion (3,) [m].
+    A row has the time [s], the time in the motion [s], the force of the hand [N], and the positions
+    of the tool (3,) [m] and of the motion (3,) [m]. The state is the last reading of the arm.
     """
     rows = []
     with bare_arm("so101", q=START, scene=scene, on_exit="leave_enabled") as arm:
@@ -115,7 +115,7 @@ def test_a_contact_stops_it_until_it_is_told_to_go_on():
         with pytest.raises(pliant.OutOfRangeError, match=r"stop \[N\] = .* is outside") as error:
             Replay(controller, settled, stop=stop)
     message = str(error.value)
-    # The message does not name arguments of `ContactEstimator`, and its bound is accepted.
+    # The message names no argument of `ContactEstimator`, and the bound in it is accepted.
     assert not {"accept", "guard", "touch", "kp_error"} & set(re.findall(r"\w+", message))
     Replay(controller, settled, stop=float(message.split("[")[2].split(",", maxsplit=1)[0]))
 
@@ -287,8 +287,8 @@ def test_the_command_plays_and_logs(tmp_path, backend, capsys, monkeypatch):
     assert main(["replay", arm, str(log), "--backend", backend, "--stop", "0.01"]) == 2
 
 
-def was_led(file):
-    """Check that the motion in a file is the one of the scripted hand."""
+def assert_scripted_motion(file):
+    """Check that the file contains the motion of the scripted hand."""
     motion = Motion.load(file)
     model = pliant.robots.so101()
     tool = np.array([model.forward_kinematics(q)[:3, 3] for q in motion.q])
@@ -306,7 +306,7 @@ def test_the_command_teaches_with_a_scripted_hand(tmp_path, capsys, monkeypatch)
         == 0
     )
     assert "pliant replay" in capsys.readouterr().out
-    was_led(file)
+    assert_scripted_motion(file)
 
 
 def test_no_scripted_hand_leads_a_real_arm(tmp_path, capsys):

@@ -1,4 +1,4 @@
-"""Stand-in for the link to the page: scripted messages, and a list of the snapshots."""
+"""Stand-in for the link to the page: it sends scripted messages and records the snapshots."""
 
 from __future__ import annotations
 

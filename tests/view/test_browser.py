@@ -1,4 +1,4 @@
-"""The page in a real browser: a user's actions, and the reaction of the arm.
+"""The page in a real browser: actions of a user, and reactions of the arm.
 
 Rendering in software takes most of the CPU time, so these tests do not measure speed: every step
 waits until the page shows the expected state. `make test` opens the page and pushes the arm; `make
@@ -52,7 +52,7 @@ LEFTWARD, UPWARD = np.eye(3)[1:]
 
 
 def standing():
-    """Return the simulated arm in the state that the page shows first."""
+    """Return a simulated arm in the pose that the page shows first."""
     plant = Plant(pliant.robots.arm7())
     plant.reset(VERTICAL)
     return plant
@@ -114,7 +114,7 @@ class Tab:
         return self.page.evaluate("() => document.body.innerText")
 
     def wait(self, find, description):
-        """Wait until `found(text)` is true for the text of the page, and return its result."""
+        """Wait until `find(text)` is true for the text of the page, and return its result."""
         end = time.monotonic() + PATIENCE
         while time.monotonic() < end:
             text = self.text
@@ -128,7 +128,7 @@ class Tab:
         return self.wait(lambda text: phrase in text, repr(phrase))
 
     def place(self, name):
-        """Return the position of the tool or of the target [mm]."""
+        """Return the position (3,) [mm] that the page shows for the tool or the target."""
         pattern = rf"{name} x (-?\d+), y (-?\d+), z (-?\d+) mm"
         match = self.wait(lambda text: re.search(pattern, text), f"the place of the {name}")
         return np.array([int(number) for number in match.groups()])
@@ -137,7 +137,7 @@ class Tab:
         self.page.get_by_role("button", name=label, exact=True).dispatch_event("click")
 
     def canvas(self):
-        """Return left, top, width and height of the scene [px]."""
+        """Return left, top, width and height of the canvas of the scene [px]."""
         boxes = [canvas.bounding_box() for canvas in self.page.locator("canvas").all()]
         box = max(filter(None, boxes), key=lambda b: b["width"] * b["height"])
         return box["x"], box["y"], box["width"], box["height"]
@@ -214,7 +214,7 @@ def test_page_loads_with_all_its_parts_and_nothing_from_elsewhere(tab):
 
 def test_push_moves_the_arm_and_it_comes_back(tab):
     has_moved, attempts = False, 0
-    # Push again: a busy computer may not update the page during the 2 s of a push.
+    # Push several times: a busy computer may not update the page within the 2 s of a push.
     while not has_moved and attempts < 5:
         tab.press("Push for 2 s")
         end, attempts = time.monotonic() + 3.0, 0

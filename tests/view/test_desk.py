@@ -17,7 +17,7 @@ CASES = [(robot, task) for robot, tasks in TASKS.items() for task in tasks]
 
 
 def own_files(task):
-    """Return settings as in configuration files: soft, firm, two given axes, no given axes."""
+    """Return settings of configuration files by name: soft, firm, with two axes, without axes."""
     names = pliant.Task(axes=task).names
     return {
         "soft all": pliant.Settings.soft(" ".join(names), task=task),

@@ -1,4 +1,4 @@
-"""Access to the page: a web socket needs the token and the page's origin, but no cookie."""
+"""Access to the page: a web socket needs the token and the origin of the page, but no cookie."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`Link` to the page's process: start, token, no blocking of the loop, end of the process."""
+"""`Link` to the process of the page: start, token, loop without blocking, end of the process."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def test_snapshots_wait_until_the_last_one_was_taken(link):
 
 
 class Quick:
-    """A link that ends the session after some ticks, and counts the snapshots."""
+    """Wrapper of a link that ends the session after some ticks and counts the snapshots."""
 
     def __init__(self, link):
         self.link, self.calls, self.sent = link, 0, 0
@@ -84,7 +84,7 @@ class Quick:
 
 
 def test_next_snapshot_is_wanted_without_a_look_at_the_orders(link):
-    # During the descent no messages are handled, but snapshots are sent.
+    # During the descent the loop sends snapshots, but handles no messages.
     for _ in range(3):
         deadline = time.perf_counter() + 20.0
         while not link.due():
@@ -93,8 +93,8 @@ def test_next_snapshot_is_wanted_without_a_look_at_the_orders(link):
         link.send(np.zeros(10))
 
 
-def flooded():
-    """Return a page endpoint in this process that sends far more messages than one tick handles."""
+def flooded_link():
+    """Return a link and its page endpoint, which has far more messages than a tick handles."""
     local, remote = socket.socketpair()
     endpoint = PageEndpoint(remote.detach())
     for number in range(20_000):
@@ -108,7 +108,7 @@ def flooded():
 
 
 def test_flood_reaches_the_loop_in_small_parts_and_the_stop_at_once():
-    link, _ = flooded()
+    link, _ = flooded_link()
     received, calls = [], 0
     deadline = time.perf_counter() + 20.0
     while messages.Stop() not in received:
@@ -124,7 +124,7 @@ def test_flood_reaches_the_loop_in_small_parts_and_the_stop_at_once():
 
 def test_edits_are_not_taken_faster_than_they_cost(monkeypatch):
     monkeypatch.setattr("pliant.view.ipc.EDIT_PERIOD", 1e9)
-    link, _ = flooded()
+    link, _ = flooded_link()
     deadline, received = time.perf_counter() + 20.0, []
     while messages.Stop() not in received:
         assert time.perf_counter() < deadline
@@ -135,7 +135,7 @@ def test_edits_are_not_taken_faster_than_they_cost(monkeypatch):
 
 
 def test_page_that_floods_still_takes_snapshots():
-    link, endpoint = flooded()
+    link, endpoint = flooded_link()
     deadline = time.perf_counter() + 20.0
     for number in range(3):
         while not link.due():

@@ -22,7 +22,7 @@ def pose(*place):
 
 
 def flood(seed, count=2000):
-    """Return messages of every kind in random order, as from several tabs that flood the page."""
+    """Return messages of every kind in random order, as if several tabs sent too many."""
     draw = random.Random(seed)
     makers = (
         lambda i: messages.Target(pose(0.2, 0.0, 1e-4 * i)),

@@ -15,7 +15,7 @@ from pliant.view.source import Simulated
 END = messages.Scene("free")
 
 
-def live(script, robot_script, *, scene="free", robot="arm7", max_sessions=1):
+def run_session(script, robot_script, *, scene="free", robot="arm7", max_sessions=1):
     link = script(robot_script)
     session = Session(Simulated(robot, scene, paced=False), link)
     session.run(max_sessions)
@@ -27,7 +27,7 @@ def deviation(snapshot, info, axis):
 
 
 def test_the_stage_comes_first_and_describes_the_scene(script):
-    _, link = live(script, {5: END})
+    _, link = run_session(script, {5: END})
     info = link.infos[0]
     assert info.arm == "arm7"
     assert info.scenes.keys() == {"free", "door", "drawer", "wall", "hand-over"}
@@ -37,7 +37,7 @@ def test_the_stage_comes_first_and_describes_the_scene(script):
 
 
 def test_arm_comes_down_after_stop_and_the_page_sees_it(script):
-    _, link = live(script, {30: messages.Stop()})
+    _, link = run_session(script, {30: messages.Stop()})
     assert {s.phase for s in link.snapshots} >= {"running", "lowering"}
     # Snapshots of the descent are sent as often as the link accepts them.
     descent = [s for s in link.snapshots if s.phase == "lowering"]
@@ -76,7 +76,7 @@ def counted(link, heard):
 
 def test_push_moves_the_soft_axis_and_ends_by_itself(script):
     push = messages.Push((0.0, 6.0, 0.0), (0.0, 0.0, 0.0), 1.0)
-    _, link = live(script, {10: push, 400: END})
+    _, link = run_session(script, {10: push, 400: END})
     info = link.infos[0]
     pushed = next(s for s in link.running if s.time > link.running[0].time + 0.9)
     assert deviation(pushed, info, "y") < -0.05
@@ -88,7 +88,7 @@ def test_push_moves_the_soft_axis_and_ends_by_itself(script):
 
 def test_firm_switch_holds_against_the_same_push_and_gives_back(script):
     push = messages.Push((0.0, 6.0, 0.0), (0.0, 0.0, 0.0), 1.5)
-    _, link = live(script, {5: messages.Firm(1, True), 20: push, 170: END})
+    _, link = run_session(script, {5: messages.Firm(1, True), 20: push, 170: END})
     info = link.infos[0]
     assert max(abs(deviation(s, info, "y")) for s in link.running) < 0.02
     last = link.running[-1]
@@ -122,7 +122,7 @@ def test_grab_pulls_a_point_of_the_arm_and_lets_go(script):
 def test_grabbing_what_is_no_part_of_the_arm_does_nothing(script):
     grab = messages.Grab(0, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0))
     door = messages.Grab(10_000, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0))
-    _, link = live(script, {5: [grab, door, messages.Grab(3, None, (1.0, 0, 0))], 40: END})
+    _, link = run_session(script, {5: [grab, door, messages.Grab(3, None, (1.0, 0, 0))], 40: END})
     assert all(s.hand_force is None for s in link.running)
 
 
@@ -139,7 +139,7 @@ def test_grabbing_what_is_no_part_of_the_arm_does_nothing(script):
     ],
 )
 def test_bad_settings_are_said_and_the_old_ones_stay(script, message, error_text):
-    _, link = live(script, {4: message, 12: END})
+    _, link = run_session(script, {4: message, 12: END})
     before, after = link.running[0], link.running[-1]
     count, text, is_error = after.notice
     assert count == 1
@@ -198,26 +198,26 @@ def test_target_that_only_the_core_refuses_does_not_end_the_life(script, monkeyp
 
 def test_message_of_a_rejected_setting_ends_with_a_valid_one(script):
     bad, good = messages.Adaptation(1, 1.5), messages.Adaptation(2, 0.5)
-    _, link = live(script, {4: bad, 16: good, 30: END})
+    _, link = run_session(script, {4: bad, 16: good, 30: END})
     assert any("adaptation = 1.5" in s.notice[1] for s in link.running)
     assert link.running[-1].notice[1:] == ("", False)
 
 
 def test_message_of_a_rejected_setting_expires(script, monkeypatch):
     monkeypatch.setattr("pliant.view.publisher.MAX_NOTICE_TIME", 0.0)
-    _, link = live(script, {4: messages.Adaptation(1, 1.5), 16: END})
+    _, link = run_session(script, {4: messages.Adaptation(1, 1.5), 16: END})
     assert link.running[-1].notice == (2, "", False)
 
 
 def test_stop_is_not_undone_by_what_comes_with_it(script):
     together = [messages.Stop(), messages.Scene("door"), messages.Start(), messages.Play()]
-    _, link = live(script, {21: together})
+    _, link = run_session(script, {21: together})
     assert len(link.infos) == 1
     assert link.snapshots[-1].phase == "lowering"
 
 
 def test_torque_on_while_it_is_on_changes_nothing(script):
-    _, link = live(script, {10: messages.Start(), 40: END})
+    _, link = run_session(script, {10: messages.Start(), 40: END})
     assert link.calls == 40
 
 
@@ -229,7 +229,7 @@ def test_all_firm_and_laws_on_a_small_arm(script):
         30: messages.Law(4, "paper"),
         40: END,
     }
-    _, link = live(script, schedule, robot="koch")
+    _, link = run_session(script, schedule, robot="koch")
     assert {s.notice[1] for s in link.running} == {""}
     assert {s.shown.law for s in link.running} == {"cap", "impedance", "paper"}
     assert {s.shown.firm for s in link.running} == {True, False}
@@ -237,7 +237,7 @@ def test_all_firm_and_laws_on_a_small_arm(script):
 
 @pytest.mark.parametrize("law", ["impedance", "paper", "cap"])
 def test_laws_change_while_it_runs(script, law):
-    _, link = live(script, {4: messages.Law(1, law), 60: END})
+    _, link = run_session(script, {4: messages.Law(1, law), 60: END})
     last = link.running[-1]
     assert last.notice[1] == ""
     assert last.shown.law == law
@@ -245,10 +245,10 @@ def test_laws_change_while_it_runs(script, law):
 
 
 def test_every_preset_can_be_chosen(script):
-    first, link = live(script, {4: END})
+    first, link = run_session(script, {4: END})
     names = link.infos[0].presets
     schedule = {10 + 6 * i: messages.Preset(i + 1, name) for i, name in enumerate(names)}
-    _, link = live(script, {**schedule, 10 + 6 * len(names): END})
+    _, link = run_session(script, {**schedule, 10 + 6 * len(names): END})
     assert [s.notice[1] for s in link.running if s.notice[1]] == []
     assert {s.shown.preset for s in link.running} >= set(names)
     assert first.editor.presets == names
@@ -273,19 +273,19 @@ def test_torque_on_again_keeps_the_settings(script):
 
 
 def test_door_opens_when_played(script):
-    session, link = live(script, {10: messages.Play(), 520: END}, scene="door")
+    session, link = run_session(script, {10: messages.Play(), 520: END}, scene="door")
     assert np.rad2deg(session._robot.plant.fixtures[0].widest) > 45.0
     assert link.running[-1].step is not None
 
 
 def test_person_takes_the_object_when_asked(script):
-    session, _ = live(script, {10: messages.Play(), 300: END}, scene="hand-over")
+    session, _ = run_session(script, {10: messages.Play(), 300: END}, scene="hand-over")
     handover_object = session._robot.plant.fixtures[0]
     assert handover_object.released is not None
 
 
 def test_wall_meets_little_more_than_the_cap(script):
-    session, link = live(script, {10: messages.Play(), 330: END}, scene="wall")
+    session, link = run_session(script, {10: messages.Play(), 330: END}, scene="wall")
     assert len(link.infos[0].walls) == 1
     wall = session._robot.plant.hands[0]
     assert 4.0 < wall.peak_force < 20.0
@@ -296,12 +296,12 @@ def test_arm_without_a_start_posture_starts_halfway_between_its_limits(script, m
     source = Simulated("other", "wall", paced=False)
     middle = 0.5 * (source.model.lower + source.model.upper)
     np.testing.assert_allclose(source.scenes["wall"].q, middle)
-    _, link = live(script, {10: END}, robot="other")
+    _, link = run_session(script, {10: END}, robot="other")
     assert link.running
 
 
 def test_other_arms_have_scenes_of_their_own(script):
-    _, link = live(script, {30: END}, robot="so101")
+    _, link = run_session(script, {30: END}, robot="so101")
     assert link.infos[0].axes == ("x", "y", "z")
     assert "door" not in link.infos[0].presets
     assert link.running[-1].notice == (0, "", False)

@@ -41,7 +41,7 @@ def draw(base, arm, urdf):
 
 @pytest.fixture
 def folder(tmp_path):
-    """Make a ROS package with own_description/urdf/own.urdf and own_description/meshes."""
+    """Make a ROS package with an empty folder `urdf` and a folder `meshes`; return its path."""
     meshes = tmp_path / "own_description" / "meshes"
     meshes.mkdir(parents=True)
     (tmp_path / "own_description" / "urdf").mkdir()
@@ -104,7 +104,7 @@ def test_small_arms_have_a_base_and_a_gripper_and_stand_on_their_table(robot):
     )
     bodies = {plant.mj_model.body(b).name for b in _body_meshes(stage)}
     assert bodies == {f"body:{link.name}" for link in model.links if link.name != "tool"}
-    # Test tool positions above and below the base: a real arm may start anywhere.
+    # A real arm may start with its tool above or below the base.
     for height in (0.3, -0.2):
         stage.home[2, 3] = height
         assert _floor_height(stage) == pytest.approx(0.0, abs=1e-9)
