@@ -20,7 +20,7 @@ def measure_caps(arm, disturbance, poses):
 
 
 def not_refused(promises):
-    return [one for one in promises if not one.refused]
+    return [promise for promise in promises if not promise.refused]
 
 
 @pytest.fixture(scope="module")
@@ -36,68 +36,68 @@ def test_caps_of_arm7_are_those_of_the_protocol():
 
 
 def test_a_refusal_is_proven_by_the_limits(nominal):
-    arm, (heavy, *_) = load("arm7"), [one for one in nominal if one.refused]
+    arm, (heavy, *_) = load("arm7"), [promise for promise in nominal if promise.refused]
     q = arm.poses(heavy.pose + 1)[heavy.pose]
     row = ("x", "y", "z", "roll", "pitch", "yaw").index(heavy.axis)
     push = heavy.sign * heavy.cap * np.asarray(arm.model.jacobian(q)[row])
-    beyond = np.abs(arm.model.gravity(q) - push) - np.asarray(arm.servos.max_torque)
-    assert beyond.max() > 0.0
-    assert np.mean([one.refused for one in nominal]) < 0.08  # measured 0.038
+    excess = np.abs(arm.model.gravity(q) - push) - np.asarray(arm.servos.max_torque)
+    assert excess.max() > 0.0
+    assert np.mean([promise.refused for promise in nominal]) < 0.08  # measured 0.038
 
 
 def test_every_cap_is_kept_where_joints_are_clear_of_their_stops(nominal):
-    clear = [one for one in not_refused(nominal) if one.room >= table.CLEAR]
-    assert len(clear) > 30  # measured 56
-    assert np.mean([one.kept for one in clear]) >= 0.97  # measured 1.0
-    assert np.median([abs(one.error) for one in clear]) < 0.06
+    tested = [promise for promise in not_refused(nominal) if promise.room >= table.CLEAR]
+    assert len(tested) > 30  # measured 56
+    assert np.mean([promise.kept for promise in tested]) >= 0.97  # measured 1.0
+    assert np.median([abs(promise.error) for promise in tested]) < 0.06
 
 
 def test_what_no_stop_was_announced_for_is_kept(nominal):
-    announced = [one for one in not_refused(nominal) if one.announced]
-    rest = [one for one in not_refused(nominal) if not one.announced]
-    assert len(rest) > 60
-    assert np.mean([one.kept for one in rest]) >= 0.97  # measured 1.0
-    assert np.mean([not one.kept for one in announced]) > 0.1
-    assert len(announced) < 0.5 * len(rest), "no blanket refusal"
+    announced = [promise for promise in not_refused(nominal) if promise.announced]
+    unannounced = [promise for promise in not_refused(nominal) if not promise.announced]
+    assert len(unannounced) > 60
+    assert np.mean([promise.kept for promise in unannounced]) >= 0.97  # measured 1.0
+    assert np.mean([not promise.kept for promise in announced]) > 0.1
+    assert len(announced) < 0.5 * len(unannounced), "no blanket refusal"
 
 
 @pytest.mark.parametrize(
     "disturbance",
     [
-        one
-        for one in DISTURBANCES
-        if one.name in {"moving at 0.05 m/s", "k_p × 1.25, identified", "a tick each way"}
+        promise
+        for promise in DISTURBANCES
+        if promise.name in {"moving at 0.05 m/s", "k_p × 1.25, identified", "a tick each way"}
     ],
-    ids=lambda one: one.name.split(",")[0].replace("×", "x"),
+    ids=lambda promise: promise.name.split(",")[0].replace("×", "x"),
 )
 def test_caps_hold_under_what_the_controller_knows_or_can_bear(disturbance):
     promises = [
-        one
-        for one in not_refused(measure_caps("arm7", disturbance, [2]))
-        if one.room >= table.CLEAR
+        promise
+        for promise in not_refused(measure_caps("arm7", disturbance, [2]))
+        if promise.room >= table.CLEAR
     ]
-    assert np.mean([one.kept for one in promises]) >= 0.95
+    assert np.mean([promise.kept for promise in promises]) >= 0.95
 
 
 @pytest.mark.parametrize("arm", ["so101", "koch"])
 def test_small_arms_keep_their_caps(arm):
-    clear = [
-        one
-        for one in not_refused(measure_caps(arm, UNDISTURBED, range(1)))
-        if one.room >= table.CLEAR
+    tested = [
+        promise
+        for promise in not_refused(measure_caps(arm, UNDISTURBED, range(1)))
+        if promise.room >= table.CLEAR
     ]
-    assert np.mean([one.kept for one in clear]) >= 0.90
+    assert np.mean([promise.kept for promise in tested]) >= 0.90
 
 
 def test_campaign_is_one_table_one_file_one_picture(tmp_path):
-    found = dict(run_campaign(campaign_jobs(["koch"], 1), 1))
-    rows = [table.summary(*key, promises) for key, promises in found.items()]
+    results = dict(run_campaign(campaign_jobs(["koch"], 1), 1))
+    rows = [table.summary(*key, promises) for key, promises in results.items()]
     lines = table.text(rows).splitlines()
     assert lines[0].count("|") == lines[1].count("|") == lines[2].count("|")
-    table.save_results(tmp_path, rows, found, {"poses": 1})
+    table.save_results(tmp_path, rows, results, {"poses": 1})
     assert json.loads((tmp_path / "results.json").read_text())["rows"][0]["arm"] == "koch"
     pytest.importorskip("matplotlib", reason="pictures need the extra plot")
-    table.draw(tmp_path, rows, found)
+    table.draw(tmp_path, rows, results)
     assert (tmp_path / "campaign.png").stat().st_size > 10_000
 
 

@@ -13,7 +13,7 @@ from pliant import Axis, Settings
 SOFT, FIRM = 4.0, 15.0  # [N]
 #: Joint friction that the feed-forward does not compensate, as a force along y, plus a margin [N].
 FRICTION = 1.8
-PLACES = (0.005, 0.02, 0.04, 0.055, 0.07, 0.09, 0.11, 0.13)  # [m]
+DEVIATIONS = (0.005, 0.02, 0.04, 0.055, 0.07, 0.09, 0.11, 0.13)  # [m]
 NEARLY = [NOMINAL, *(Conditions(delay=(1, 1), believed=share) for share in (0.7, 1.3))]
 
 
@@ -30,21 +30,24 @@ def expected_force(profile, deviation):
 
 def test_profiles_are_felt_as_promised_and_differ_where_they_should():
     """At 0.02 m the profile `softening` has the largest force, at 0.13 m `hardening`."""
-    felt = {}
+    forces = {}
     for profile in ("hardening", "constant", "softening"):
         result = compliance.answer(
             Settings(axes={"y": Axis(soft=SOFT, firm=FIRM, profile=profile)})
         )
-        felt[profile] = {
-            place: float(result.force[np.abs(result.deviation - place) < 0.003].mean())
-            for place in PLACES
+        forces[profile] = {
+            deviation: float(result.force[np.abs(result.deviation - deviation) < 0.003].mean())
+            for deviation in DEVIATIONS
         }
-        for place, force in felt[profile].items():
-            assert force == pytest.approx(expected_force(profile, place), abs=FRICTION), (
+        for deviation, force in forces[profile].items():
+            assert force == pytest.approx(expected_force(profile, deviation), abs=FRICTION), (
                 profile,
-                place,
+                deviation,
             )
-    near, far = ({name: at[place] for name, at in felt.items()} for place in (0.02, 0.13))
+    near, far = (
+        {name: by_deviation[deviation] for name, by_deviation in forces.items()}
+        for deviation in (0.02, 0.13)
+    )
     assert near["softening"] > near["hardening"] + 4.0 > near["constant"] + 4.0
     assert far["hardening"] > far["softening"] + 8.0
     assert far["softening"] == pytest.approx(far["constant"], abs=0.5)
@@ -60,9 +63,9 @@ def test_a_stiff_axis_follows_a_strong_hand_beyond_its_limit(conditions):
         result = disturbances.drag(
             Settings(axes={"y": Axis(deviation_limit=limit)}), conditions=conditions
         )
-    promised = limit * compliance.stiffness("y")  # [N], measured 11.0
+    expected = limit * compliance.stiffness("y")  # [N], measured 11.0
     assert result.moved > 0.14  # [m], of 0.15
-    assert result.held == pytest.approx(promised, abs=2.5)  # [N], measured 10.8
+    assert result.held == pytest.approx(expected, abs=2.5)  # [N], measured 10.8
     assert result.force < 0.5 * free.force  # measured 12.5 of 36.2
     assert result.drift < 0.25 * free.drift  # measured 6 of 42 mm
     assert result.end < 0.002  # [m], distance from the target at the end
@@ -76,8 +79,8 @@ def test_a_blocked_axis_does_not_push_with_all_it_has(reaction):
     result = compliance.block(
         Settings(axes={"x": Axis(deviation_limit=limit, on_deviation_limit=reaction)})
     )
-    promised = limit * compliance.stiffness("x")  # [N], measured 13.9
-    assert result.force == pytest.approx(promised, abs=3.5)  # [N], measured 11.6, 12.7
+    expected = limit * compliance.stiffness("x")  # [N], measured 13.9
+    assert result.force == pytest.approx(expected, abs=3.5)  # [N], measured 11.6, 12.7
     assert result.force < 0.75 * free.force  # measured 18.1
     assert result.limited == pytest.approx(1.0)
     assert free.limited == pytest.approx(0.0)

@@ -34,10 +34,10 @@ def cap_stiff(*, soft, null_space):
 
 @pytest.mark.parametrize(("scene", "grip"), CAP, ids=" ".join)
 def test_cap_opens(scene, grip):
-    least, largest = CAP[scene, grip]
+    angle, force = CAP[scene, grip]
     result = doors.open_door(controllers.cap, scene, grip)
-    assert result.angle > least
-    assert result.force < largest
+    assert result.angle > angle
+    assert result.force < force
     if (scene, grip) == ("door", "rigid"):
         assert result.torque < 3.0  # [N·m], measured 2.1
 

@@ -41,12 +41,12 @@ def test_dither_makes_the_drag_lighter_and_costs_reversals():
     present, dither = (gears.drag(case, gears.REMEDIES[row]) for row in rows)
     assert present == pytest.approx(8.0, abs=0.3)  # measured 8.04
     assert dither < 0.93 * present  # measured 7.1
-    (calm, cool, _, _), (shaken, warm, _, _) = (
+    (reversals_without, heat_without, _, _), (reversals_with, heat_with, _, _) = (
         gears.rest(case, gears.REMEDIES[row], 0.0) for row in rows
     )
-    assert calm < 1.0  # [1/s]
-    assert shaken > 20.0
-    assert warm > cool
+    assert reversals_without < 1.0  # [1/s]
+    assert reversals_with > 20.0
+    assert heat_with > heat_without
 
 
 @pytest.mark.parametrize("arm", ["arm7", "so101"])

@@ -41,9 +41,12 @@ def test_a_stiffer_hold_keeps_the_drift_with_overestimated_friction():
 
 
 def test_drag_and_door_run_at_every_rate_delay_and_assumption():
-    under = goals.rate_conditions()
-    assert len(under) == 12
-    assert len({(one.rate, one.delay, one.believed) for one in under}) == 12
+    conditions = goals.rate_conditions()
+    assert len(conditions) == 12
+    assert (
+        len({(condition.rate, condition.delay, condition.believed) for condition in conditions})
+        == 12
+    )
     lines = goals.rates_text("nothing of this name").splitlines()
     assert len(lines) == 2
     assert lines[0].count("|") == lines[1].count("|")

@@ -34,7 +34,7 @@ def test_cap_holds_while_an_axis_follows():
 
 
 @pytest.mark.parametrize(
-    ("axis", "size", "most"),  # size [N or N·m]; most [m or rad], measured 0.0076, 0.024, 0.052
+    ("axis", "size", "largest"),  # size [N or N·m]; most [m or rad], measured 0.0076, 0.024, 0.052
     [
         ("x", 10.0, 0.011),
         ("x", -10.0, 0.011),
@@ -44,5 +44,5 @@ def test_cap_holds_while_an_axis_follows():
         ("pitch", -1.5, 0.07),
     ],
 )
-def test_cap_stiff_axes_have_the_servos_own_stiffness(axis, size, most):
-    assert 0.0 < disturbances.push_stiff(controllers.cap(), axis, size) < most
+def test_cap_stiff_axes_have_the_servos_own_stiffness(axis, size, largest):
+    assert 0.0 < disturbances.push_stiff(controllers.cap(), axis, size) < largest

@@ -13,7 +13,7 @@ from pliant.sim import DRAG_15N, Plant
 from pliant.sim.postures import VERTICAL
 
 #: Law `impedance` without the reduction of stiffness for delays.
-asked = partial(controllers.impedance, accept_high_stiffness=True)
+unreduced = partial(controllers.impedance, accept_high_stiffness=True)
 
 NOMINAL = Conditions()
 DELAYED = Conditions(delay=(1, 1))
@@ -32,9 +32,16 @@ LOOPS = {
         7.0,
         0.0085,
     ),  # 63.3, 12.5, 6.2, .0074
-    "100 Hz, 1+1, as asked": (DELAYED, asked, 65.0, 18.0, 7.0, 0.0055),  # 65.8, 16.4, 6.3, .0047
+    "100 Hz, 1+1, as asked": (
+        DELAYED,
+        unreduced,
+        65.0,
+        18.0,
+        7.0,
+        0.0055,
+    ),  # 65.8, 16.4, 6.3, .0047
     "200 Hz, 1+1": (FAST, controllers.impedance, 65.0, 15.5, 6.2, 0.0045),  # 66.2, 14.0, 5.6, .0039
-    "200 Hz, 1+1, as asked": (FAST, asked, 65.0, 15.5, 6.2, 0.0042),  # 66.2, 14.0, 5.6, .0036
+    "200 Hz, 1+1, as asked": (FAST, unreduced, 65.0, 15.5, 6.2, 0.0042),  # 66.2, 14.0, 5.6, .0036
 }
 #: By loop: factor on the stiffness of 800 N/m and 20 N·m/rad at which the loop oscillates. The
 #: product of stiffness ratio ρ and loop delay T_e is then 0.11, 0.07, 0.14 and 0.14 s.
@@ -81,7 +88,7 @@ def test_taps_die_within_the_bound(loop, axis):
 @pytest.mark.parametrize("loop", RINGING)
 def test_taps_ring_beyond_the_bound(loop):
     stiffness = (800.0 * RINGING[loop], 20.0 * RINGING[loop])
-    law = asked(soft="", stiffness=stiffness)
+    law = unreduced(soft="", stiffness=stiffness)
     # Measured 0.45-0.74 [rad/s].
     assert disturbances.tapped(law, "z", conditions=CONDITIONS[loop]) > 0.1
 
@@ -89,15 +96,15 @@ def test_taps_ring_beyond_the_bound(loop):
 def test_a_slow_loop_with_a_tick_each_way_is_stable():
     result = disturbances.idle(controllers.impedance(), conditions=SLOW)
     assert result.speed < 0.002  # [rad/s], measured 0.0005; with the full springs 0.48
-    dragged = disturbances.drag(controllers.impedance(), DRAG_15N, conditions=SLOW)
-    assert dragged.moved > 0.2  # [m]
-    assert dragged.position < 0.015  # [m]
+    drag = disturbances.drag(controllers.impedance(), DRAG_15N, conditions=SLOW)
+    assert drag.moved > 0.2  # [m]
+    assert drag.position < 0.015  # [m]
 
 
 def test_a_spring_answers_in_proportion():
     soft = controllers.impedance(soft="", stiffness=(300.0, 20.0))
-    given = disturbances.push_stiff(soft, "y", 6.0)
-    assert given == pytest.approx(6.0 / 300.0, abs=0.006)  # [m] plus friction of the gears
+    deviation = disturbances.push_stiff(soft, "y", 6.0)
+    assert deviation == pytest.approx(6.0 / 300.0, abs=0.006)  # [m] plus friction of the gears
 
 
 def test_the_cap_bounds_a_spring():
@@ -121,11 +128,11 @@ def test_well_damped_servos_bear_more_than_their_own_stiffness():
     """
     arm, q = robots.load("so101"), np.array([0.2, -0.3, 0.3, 0.9, 0.0])
     rows = arm.jacobian(q)[:3]
-    give = np.linalg.eigvalsh(rows @ np.diag(1.0 / np.asarray(arm.servos.kp)) @ rows.T)[-1]
+    compliance = np.linalg.eigvalsh(rows @ np.diag(1.0 / np.asarray(arm.servos.kp)) @ rows.T)[-1]
     settings = Settings(
         task="xyz",
         law="impedance",
-        axes={"xyz": Axis(stiffness=2.2 / give)},
+        axes={"xyz": Axis(stiffness=2.2 / compliance)},
         delay=0.02,
         **controllers.NO_RATE_LIMITS,
     )
@@ -133,8 +140,8 @@ def test_well_damped_servos_bear_more_than_their_own_stiffness():
     plant.reset(q)
     target, speeds = arm.forward_kinematics(q)[:3, 3], []
     for tick in range(350):
-        tapped = target + np.array([0.0, 0.02, 0.01]) if 100 <= tick < 105 else target
-        command = controller.step(plant.read().q, tapped)
+        moved_target = target + np.array([0.0, 0.02, 0.01]) if 100 <= tick < 105 else target
+        command = controller.step(plant.read().q, moved_target)
         plant.write(command.goal, command.torque_limit)
         plant.advance()
         speeds.append(plant.dq)
@@ -159,10 +166,10 @@ def residual_speed(rate, stiffness, accept_high_stiffness=False):
     )
     plant = Plant(robots.load("arm7"), rate=rate, delay=(1, 1))
     plant.reset(VERTICAL)
-    still, tapped, speeds = plant.tool, plant.tool.copy(), []
-    tapped[0, 3] += 0.02
+    target, moved_target, speeds = plant.tool, plant.tool.copy(), []
+    moved_target[0, 3] += 0.02
     for tick in range(300):
-        command = controller.step(plant.read().q, tapped if 50 < tick < 60 else still)
+        command = controller.step(plant.read().q, moved_target if 50 < tick < 60 else target)
         plant.write(command.goal, command.torque_limit)
         plant.advance()
         speeds.append(np.abs(plant.dq).max())
@@ -171,11 +178,9 @@ def residual_speed(rate, stiffness, accept_high_stiffness=False):
 
 def test_what_is_refused_rings_and_what_is_proposed_instead_does_not():
     asked_for = {"xyz": Axis(stiffness=800.0), "rpy": Axis(stiffness=20.0)}
-    with pytest.raises(ConfigError, match="a stiffer loop oscillates: use x=") as refused:
+    with pytest.raises(ConfigError, match="a stiffer loop oscillates: use x=") as error:
         residual_speed(50.0, asked_for)
-    proposed = re.findall(
-        r"(x|y|z|roll|pitch|yaw)=([\d.]+) N", str(refused.value).split(": use ")[1]
-    )
+    proposed = re.findall(r"(x|y|z|roll|pitch|yaw)=([\d.]+) N", str(error.value).split(": use ")[1])
     assert len(proposed) == 6
     assert (
         residual_speed(50.0, asked_for, accept_high_stiffness=True) > 0.1

@@ -99,7 +99,7 @@ def test_an_object_is_not_dropped_by_its_own_weight():
     assert tasks.hand_over(Settings.soft("xyz")).sag > 3.0 * 0.010  # [m], measured 0.052
 
 
-SOME = tasks.MISPLACED[1::6]
+SOCKETS = tasks.MISPLACED[1::6]
 
 
 def plug_in_sockets(law, holes, conditions):
@@ -110,26 +110,26 @@ def plug_in_sockets(law, holes, conditions):
 
 
 @pytest.mark.parametrize(
-    "holes", [SOME, pytest.param(tasks.MISPLACED, marks=pytest.mark.full)], ids=["some", "all"]
+    "holes", [SOCKETS, pytest.param(tasks.MISPLACED, marks=pytest.mark.full)], ids=["some", "all"]
 )
 @conditions
 def test_plug(holes, conditions):
     with nullcontext() if conditions is NOMINAL else under(conditions):
         result = plug_in_sockets(Settings.plug(push=10.0), holes, conditions)
     stiff = plug_in_sockets(STIFF, holes, conditions)
-    assert all(each.inside for each in result)
-    assert max(each.along for each in result) < 11.5  # [N], measured 4.0, cap 10
-    assert max(each.across for each in result) < 5.0  # [N], measured 2.1
-    assert max(each.off for each in result) < 0.003  # [m], measured 0.001
+    assert all(plug.inside for plug in result)
+    assert max(plug.along for plug in result) < 11.5  # [N], measured 4.0, cap 10
+    assert max(plug.across for plug in result) < 5.0  # [N], measured 2.1
+    assert max(plug.off for plug in result) < 0.003  # [m], measured 0.001
     # Measured 15.
-    assert max(each.across for each in stiff) > 3.0 * max(each.across for each in result)
-    assert max(each.across for each in stiff) > 12.0  # [N], measured 20; 8.5 with exact holes
+    assert max(plug.across for plug in stiff) > 3.0 * max(plug.across for plug in result)
+    assert max(plug.across for plug in stiff) > 12.0  # [N], measured 20; 8.5 with exact holes
 
 
 def test_a_blocked_plug_pushes_with_its_cap():
-    beside = (0.015, 0.0)
-    result = tasks.plug_in(Settings.plug(push=6.0), offset=beside)
-    stiff = tasks.plug_in(STIFF, offset=beside)
+    offset = (0.015, 0.0)
+    result = tasks.plug_in(Settings.plug(push=6.0), offset=offset)
+    stiff = tasks.plug_in(STIFF, offset=offset)
     assert not result.inside
     assert not stiff.inside
     assert result.along == pytest.approx(6.0, abs=1.5)

@@ -23,7 +23,9 @@ def test_cap_stands_still_when_the_host_dies():
 
 def kept(count, margin):
     cases = list(cap_accuracy.cases(count, margin))
-    runs = [cap_accuracy.keep(case, guided=guided) for case in cases for guided in (False, True)]
+    runs = [
+        cap_accuracy.keep(case, guided=is_guided) for case in cases for is_guided in (False, True)
+    ]
     return [run.kept for run in runs]
 
 

@@ -8,7 +8,7 @@ from experiments.arms import BESIDE, ROBOTS
 
 COUNT = 3
 #: Case of a bug report: the tool moved at 0.38 m/s despite a bound of 0.25, and overshot by 28 mm.
-TRIED = steps.Step((0.0, -0.3, 0.3, 0.9, 0.0), (0.0164, 0.0, 0.1044))
+REPORTED_STEP = steps.Step((0.0, -0.3, 0.3, 0.9, 0.0), (0.0164, 0.0, 0.1044))
 
 
 def require_urdf(name):
@@ -53,7 +53,7 @@ def test_a_vx300s_is_near_them_under_the_other_laws(law, speed):
 @pytest.mark.parametrize("speed", steps.SPEEDS)
 @pytest.mark.parametrize("law", steps.LAWS)
 def test_the_step_of_the_newcomer(law, speed):
-    result = steps.run("so101", TRIED, steps.settings("so101", law, speed))
+    result = steps.run("so101", REPORTED_STEP, steps.settings("so101", law, speed))
     assert result.fastest <= 1.2 * speed + 0.02
     assert result.overshoot <= 0.005
 
@@ -61,6 +61,6 @@ def test_the_step_of_the_newcomer(law, speed):
 @pytest.mark.parametrize("name", ["so101", "koch", "vx300s"])
 def test_steps_that_are_asked_go_in_several_directions(name):
     require_urdf(name)
-    ways = np.array([step.way for step in steps.steps(name, COUNT)])
-    assert np.allclose(np.linalg.norm(ways, axis=1), 0.1)
-    assert np.linalg.matrix_rank(ways, tol=0.01) > 1
+    directions = np.array([step.way for step in steps.steps(name, COUNT)])
+    assert np.allclose(np.linalg.norm(directions, axis=1), 0.1)
+    assert np.linalg.matrix_rank(directions, tol=0.01) > 1

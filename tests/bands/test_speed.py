@@ -7,9 +7,9 @@ import pliant
 from pliant import robots, sim
 
 START = [-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657]  # [rad]
-WAY = 0.15  # [m]
+PATH_LENGTH = 0.15  # [m]
 #: Largest excess of the tool's speed while it catches up [m/s]; measured 0.08.
-FASTER = 0.1
+MAX_EXCESS = 0.1
 
 
 def tool_speeds(speed, axis):
@@ -19,9 +19,9 @@ def tool_speeds(speed, axis):
     arm = sim.Plant(model, rate=100.0)
     arm.reset(START)
     target, positions = arm.tool, []
-    for tick in range(100 + round((WAY / speed + 0.5) * arm.rate)):
+    for tick in range(100 + round((PATH_LENGTH / speed + 0.5) * arm.rate)):
         if tick == 100:
-            target[axis, 3] += WAY
+            target[axis, 3] += PATH_LENGTH
         command = controller.step(arm.read().q, target)
         arm.write(command.goal, command.torque_limit)
         arm.advance()
@@ -35,6 +35,6 @@ def tool_speeds(speed, axis):
 def test_the_tool_is_a_little_faster_than_its_target_where_it_catches_up(speed, axis):
     reference, tool = tool_speeds(speed, axis)
     assert reference.max() <= speed * (1.0 + 1e-6)
-    assert tool.max() < speed + FASTER
-    underway = tool[50 : round(WAY / speed * 100.0)]
+    assert tool.max() < speed + MAX_EXCESS
+    underway = tool[50 : round(PATH_LENGTH / speed * 100.0)]
     assert abs(underway.mean() / speed - 1.0) < 0.1

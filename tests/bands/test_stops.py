@@ -30,15 +30,15 @@ def excursions(name, cap, ticks, law="cap"):
     The target is out of reach along the soft axis y.
     """
     q, room = ARMS[name][0], 0.05
-    model, late = limited_model(name, q, room), 2 * ticks / 100.0
-    gap = Mismatch(plant=Parameters(delay=late), assumed=Parameters(delay=late, reach=RANDOM))
+    model, delay = limited_model(name, q, room), 2 * ticks / 100.0
+    gap = Mismatch(plant=Parameters(delay=delay), assumed=Parameters(delay=delay, reach=RANDOM))
     plant = gap.build(robots.load(name), delay=(ticks, ticks))
     spring = {"stiffness": 500.0} if law == "impedance" else {}
     settings = pliant.Settings(
         task="xyz" if model.n == 5 else "xyz rpy",
         axes={"y": pliant.Axis(soft=cap, firm=cap, **spring)},
         law=law,
-        delay=late,
+        delay=delay,
         **NO_RATE_LIMITS,
     )
     controller = pliant.Controller(model, settings)
@@ -60,9 +60,9 @@ def excursions(name, cap, ticks, law="cap"):
 @pytest.mark.parametrize("name", ARMS)
 def test_a_soft_axis_does_not_drive_a_joint_out_of_its_limits(name, ticks):
     for cap in ARMS[name][1]:
-        most, _, ringing = excursions(name, cap, ticks)
+        most, _, oscillation = excursions(name, cap, ticks)
         assert most < ARMS[name][2]  # measured 0.017
-        assert ringing < 1e-3
+        assert oscillation < 1e-3
 
 
 def test_nor_under_law_impedance():
@@ -94,6 +94,6 @@ def test_gravity_is_carried_at_a_limit():
 @pytest.mark.parametrize(("name", "pose"), [("arm7", 0), ("arm7", 2), ("so101", 3), ("koch", 2)])
 def test_an_arm_beside_its_stops_comes_to_rest_after_a_push(name, pose, ticks):
     """The arm neither oscillates nor drifts after the release."""
-    rest = joint_limit_rest.Job(name, pose, ticks).run()
-    assert rest.moves[1] < 4e-3  # within a second, 8 s after release
-    assert rest.turns[1] == 0
+    result = joint_limit_rest.Job(name, pose, ticks).run()
+    assert result.moves[1] < 4e-3  # within a second, 8 s after release
+    assert result.turns[1] == 0

@@ -33,11 +33,11 @@ def push_estimates(contact, force=(0.0, 0.0, 0.0), ticks=200, *, build=Plant, ta
     target = arm().forward_kinematics(VERTICAL)
     records = []
     for tick in range(ticks):
-        reading = plant.read().q
+        q = plant.read().q
         if tick == tare:
             contact.tare()
-        records.append(contact.update(reading))
-        command = ctl.step(reading, target)
+        records.append(contact.update(q))
+        command = ctl.step(q, target)
         plant.write(command.goal, command.torque_limit)
         plant.advance()
     return records
@@ -57,10 +57,10 @@ def test_a_push_is_felt_within_the_bound(force):
 def test_events_come_with_their_thresholds_and_their_time():
     contact = pliant.ContactEstimator(controller(), touch={"xyz": 4.0}, stop={"z": 7.0}, **KNOWN)
     result = push_estimates(contact, (0.0, 0.0, 9.0))
-    touched = [bool(felt.touch[2]) for felt in result]
-    stopped = [bool(felt.stop[2]) for felt in result]
-    assert not any(touched[:50])
-    assert 50 < touched.index(True) < stopped.index(True) < 90
+    touches = [bool(estimate.touch[2]) for estimate in result]
+    stops = [bool(estimate.stop[2]) for estimate in result]
+    assert not any(touches[:50])
+    assert 50 < touches.index(True) < stops.index(True) < 90
     assert contact.latency == pytest.approx(0.06)
 
 
@@ -74,7 +74,7 @@ def test_nothing_is_claimed_before_a_command_was_in_force():
 def test_saturated_joints_are_named_and_the_estimate_stands():
     contact = pliant.ContactEstimator(controller(), **KNOWN)
     last = push_estimates(contact, (0.0, 0.0, 40.0), ticks=120)
-    saturated = [felt for felt in last if felt.saturated.any()]
+    saturated = [estimate for estimate in last if estimate.saturated.any()]
     assert saturated
 
 
@@ -84,11 +84,11 @@ def test_a_tare_takes_a_wrong_stiffness_out():
     result = push_estimates(contact, (0.0, 0.0, 8.0), build=gap.build, tare=45)
     gap.check(contact.controller)
     assert contact.tared
-    before, after, pressed = result[44], result[49], result[-1]
+    before, after, final = result[44], result[49], result[-1]
     assert np.abs(before.force[:3]).max() > 1.0  # [N], the estimate before the tare
     assert np.abs(after.force[:3]).max() < 0.3
-    error = np.abs(pressed.force_base[:3] - (0.0, 0.0, 8.0))
-    assert (error <= pressed.uncertainty_base[:3]).all()
+    error = np.abs(final.force_base[:3] - (0.0, 0.0, 8.0))
+    assert (error <= final.uncertainty_base[:3]).all()
     contact.clear_tare()
     assert not contact.tared
 
@@ -131,21 +131,21 @@ def test_events_of_the_experiment_are_those_of_the_core():
         pliant.ContactEstimator(controller(), touch={"z": 5.0}, accept_thresholds=True, **KNOWN),
         (0.0, 0.0, 9.0),
     )
-    beyond = np.array([abs(felt.force[2]) > 5.0 for felt in result])
-    assert table.events(beyond)[0] == [bool(felt.touch[2]) for felt in result].index(True)
+    is_above = np.array([abs(estimate.force[2]) > 5.0 for estimate in result])
+    assert table.events(is_above)[0] == [bool(estimate.touch[2]) for estimate in result].index(True)
 
 
 def test_free_motion_stays_within_the_bound_and_strong_contacts_are_seen():
     bench = Bench(MAIN)
-    drawn = Parameters(friction=RANDOM, damping=RANDOM)
-    with Mismatch(plant=Parameters(), assumed=drawn):
+    random_values = Parameters(friction=RANDOM, damping=RANDOM)
+    with Mismatch(plant=Parameters(), assumed=random_values):
         free = [bench.free(number, 20.0) for number in range(2)]
-        met = [bench.contact(number) for number in range(12)]
-    facts = table.estimate_errors(free, met)
+        contacts = [bench.contact(number) for number in range(12)]
+    facts = table.estimate_errors(free, contacts)
     assert facts["free beyond"] < 0.001  # measured 0.0000 in an hour
     assert facts["free rms"] < 1.5  # [N], measured 0.77
     strength = table.STRONG_FORCE * bench.arm.median_capacity[0]
-    guarded = table.evaluate("short", table.Rule("guarded", 0.6), strength, free, met)
+    guarded = table.evaluate("short", table.Rule("guarded", 0.6), strength, free, contacts)
     assert guarded.alarms == 0
     assert guarded.missed <= 0.2  # measured 0.045 of 581
     assert guarded.seen >= 0.6  # measured 0.80

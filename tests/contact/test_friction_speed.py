@@ -32,9 +32,9 @@ def test_a_bound_that_is_said_is_enough_when_it_is_typed():
     for axis in ("x", "y", "z"):
         with pytest.raises(pliant.OutOfRangeError) as error:
             pliant.reactions.Force(axis, above=0.01).validate(contact, controller)
-        said = float(str(error.value).partition("outside [")[2].partition(",")[0])
-        pliant.reactions.Force(axis, above=said).validate(contact, controller)
+        bound = float(str(error.value).partition("outside [")[2].partition(",")[0])
+        pliant.reactions.Force(axis, above=bound).validate(contact, controller)
         with pytest.raises(pliant.OutOfRangeError) as error:
             pliant.ContactEstimator(controller, touch={axis: 0.01})
-        said = float(error.value.bound.partition("[")[2].partition(",")[0])
-        pliant.ContactEstimator(controller, touch={axis: said})
+        bound = float(error.value.bound.partition("[")[2].partition(",")[0])
+        pliant.ContactEstimator(controller, touch={axis: bound})

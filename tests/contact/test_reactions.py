@@ -27,7 +27,7 @@ def controller():
     return ctl
 
 
-def moment(felt=None, **extra):
+def moment(wrench=None, **extra):
     fields = {
         "controller": controller(),
         "time": 0.0,
@@ -35,7 +35,7 @@ def moment(felt=None, **extra):
         "q": VERTICAL,
         "tool": TARGET,
         "target": TARGET,
-        "wrench": felt or FakeWrench(),
+        "wrench": wrench or FakeWrench(),
     }
     return rx.TickContext(**{**fields, **extra})
 
@@ -115,16 +115,16 @@ def test_a_watch_refuses_what_its_arm_cannot_tell_or_do():
         rx.ReactionMonitor(ctl, [rx.Reaction(rx.Saturated(("elbow",)), rx.Hold())])
     with pytest.raises(pliant.PliantError, match="soft"):
         rx.ReactionMonitor(ctl, [rx.Reaction(rx.ResidualAbove(), rx.Yield("z", {"soft": -1.0}))])
-    few = pliant.Controller(arm(), pliant.Settings(task="xyz"))
+    controller_xyz = pliant.Controller(arm(), pliant.Settings(task="xyz"))
     with pytest.raises(pliant.ConfigError, match="axes yaw are not of this task"):
-        rx.ReactionMonitor(few, [rx.Reaction(rx.Deviation("yaw", above=0.1), rx.Hold())])
+        rx.ReactionMonitor(controller_xyz, [rx.Reaction(rx.Deviation("yaw", above=0.1), rx.Hold())])
 
 
-def run_monitor(then, when=None, **extra):
+def run_monitor(action, condition=None, **extra):
     """Return a monitor with one reaction; by default its condition is true from 0.1 to 0.3 s."""
-    if when is None:
-        when = rx.After(0.1) & ~rx.After(0.3)
-    return rx.ReactionMonitor(controller(), [rx.Reaction(when, then, **extra)])
+    if condition is None:
+        condition = rx.After(0.1) & ~rx.After(0.3)
+    return rx.ReactionMonitor(controller(), [rx.Reaction(condition, action, **extra)])
 
 
 def targets(watch, ticks, expected=TARGET):
@@ -173,8 +173,8 @@ def test_retract_leaves_along_its_direction_and_stays():
 
 
 def test_follow_keeps_the_target_on_a_leash():
-    when = rx.After(0.05)
-    watch = run_monitor(rx.Follow("x", 0.02), when)
+    condition = rx.After(0.05)
+    watch = run_monitor(rx.Follow("x", 0.02), condition)
     sent_targets = targets(watch, 20, away(0.1))
     assert sent_targets[-1][0, 3] - TARGET[0, 3] == pytest.approx(0.02)
     targets(watch, 2, away(0.01))
@@ -191,13 +191,13 @@ def test_yield_changes_settings_and_restores_them():
 
 
 def test_calls_come_once_and_the_first_reaction_matters_most():
-    called = []
+    moments = []
     watch = rx.ReactionMonitor(
         controller(),
         [
             rx.Reaction(rx.After(0.2), rx.Stop()),
             rx.Reaction(rx.After(0.1), rx.Hold()),
-            rx.Reaction(rx.After(0.1), rx.Call(called.append)),
+            rx.Reaction(rx.After(0.1), rx.Call(moments.append)),
         ],
     )
     targets(watch, 15)
@@ -205,7 +205,7 @@ def test_calls_come_once_and_the_first_reaction_matters_most():
     assert watch.active is watch.reactions[1]
     targets(watch, 15)
     assert watch.stopped
-    assert [now.time for now in called] == pytest.approx([0.1])
+    assert [moment.time for moment in moments] == pytest.approx([0.1])
     watch.reset()
     assert watch.active is None
     assert len(watch.log) == 0
@@ -214,13 +214,13 @@ def test_calls_come_once_and_the_first_reaction_matters_most():
 def test_bad_readings_change_nothing():
     watch = run_monitor(rx.Hold(), rx.ResidualAbove())
     targets(watch, 5)
-    felt = watch.wrench
-    for bad in (np.full(7, np.nan), np.zeros(3)):
+    wrench = watch.wrench
+    for invalid_q in (np.full(7, np.nan), np.zeros(3)):
         with pytest.raises(pliant.PliantError):
-            watch.update(bad, TARGET)
+            watch.update(invalid_q, TARGET)
     with pytest.raises(pliant.PliantError):
         watch.update(VERTICAL, np.full((4, 4), np.nan))
-    assert watch.wrench == felt
+    assert watch.wrench == wrench
 
 
 def test_names_at_the_top():

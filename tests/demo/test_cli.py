@@ -76,9 +76,9 @@ def test_an_unknown_flag_gets_a_suggestion(capsys):
 
 def test_a_refused_urdf_is_one_line(capsys, tmp_path):
     pytest.importorskip("mujoco")
-    bad = tmp_path / "bad.urdf"
-    bad.write_text("<robot name='r'><link name='a'/>", encoding="utf-8")
-    assert demo(["--urdf", str(bad)]) == 2
+    file = tmp_path / "bad.urdf"
+    file.write_text("<robot name='r'><link name='a'/>", encoding="utf-8")
+    assert demo(["--urdf", str(file)]) == 2
     stderr = capsys.readouterr().err
     assert stderr.startswith("error: ")
     assert "bad.urdf" in stderr
@@ -106,10 +106,10 @@ def test_bands_that_are_missed_are_said_with_number_and_reason():
     from experiments.demo import missed
     from experiments.report import Chapter, Check, Figure, Statement
 
-    kept = Check(name="force", value=3.0, high=4.0, unit="N")
-    tests = (kept, Check(name="drift", value=0.0123, low=0.001, high=0.01, unit="m"))
+    passed = Check(name="force", value=3.0, high=4.0, unit="N")
+    tests = (passed, Check(name="drift", value=0.0123, low=0.001, high=0.01, unit="m"))
     statements = (
-        Statement(claim="It holds.", outcome="", tests=(kept,), source="study"),
+        Statement(claim="It holds.", outcome="", tests=(passed,), source="study"),
         Statement(claim="It stays.", outcome="", tests=tests, source="study", because="gears rub"),
         Statement(claim="The paper's.", outcome="", tests=tests),
     )

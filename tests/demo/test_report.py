@@ -58,24 +58,24 @@ def check_page(path):
     return text
 
 
-def check_numbers(value, where="results"):
+def check_numbers(value, path="results"):
     """Check that results have no NaN, and null only for "not back" and for missing bounds."""
     if isinstance(value, dict):
         for key, item in value.items():
             if item is None:
-                assert key in {"returned", "low", "high", "commit"}, f"{where}.{key}"
-            check_numbers(item, f"{where}.{key}")
+                assert key in {"returned", "low", "high", "commit"}, f"{path}.{key}"
+            check_numbers(item, f"{path}.{key}")
     elif isinstance(value, list):
         for k, item in enumerate(value):
-            check_numbers(item, f"{where}[{k}]")
+            check_numbers(item, f"{path}[{k}]")
     elif isinstance(value, float):
-        assert math.isfinite(value), where
+        assert math.isfinite(value), path
 
 
-def check_folder(folder, done):
-    assert done.returncode == 0, done.stderr
+def check_folder(folder, process):
+    assert process.returncode == 0, process.stderr
     report, results = folder / "report.html", folder / "results.json"
-    assert done.stdout.rstrip().endswith(str(report.resolve()))
+    assert process.stdout.rstrip().endswith(str(report.resolve()))
     text = check_page(report)
     content = json.loads(results.read_text(encoding="utf-8"))
     check_numbers(content)
@@ -101,16 +101,16 @@ def test_quick_demo_leaves_a_report_that_needs_nothing(quick_demo):
 
 def test_processes_do_not_change_a_digit(demo_command, quick_demo, tmp_path):
     """Compare experiment 2 run in one process with the whole demo, which uses two processes."""
-    two, _, saved = quick_demo
+    demo_folder, _, saved = quick_demo
     result = demo_command("--quick", "--only", "2", "--jobs", "1", "--out", "1")
     assert result.returncode == 0, result.stderr
-    one = json.loads((tmp_path / "1" / "results.json").read_text(encoding="utf-8"))
+    results = json.loads((tmp_path / "1" / "results.json").read_text(encoding="utf-8"))
     second = {"2": saved["experiments"]["2"]}
-    assert json.dumps(one) == json.dumps(saved | {"experiments": second})
+    assert json.dumps(results) == json.dumps(saved | {"experiments": second})
     figures = list((tmp_path / "1" / "figures").glob("*.svg"))
     assert figures
     for figure in figures:
-        assert figure.read_bytes() == (two / "figures" / figure.name).read_bytes()
+        assert figure.read_bytes() == (demo_folder / "figures" / figure.name).read_bytes()
 
 
 def test_a_machine_that_cannot_draw_gets_a_report_without_pictures(demo_command, tmp_path):
@@ -135,13 +135,13 @@ ALWAYS = {"so101", "ur5e", "panda"}
 
 def robots():
     """Return the reference arms whose URDF is available, with base and tip of their chains."""
-    found = []
+    result = []
     for file in sorted(SHARED.glob("*/reference_fk.json")):
         entry = json.loads(file.read_text(encoding="utf-8"))
         robot = (file.parent / entry["urdf"], entry["base"], entry["tip"])
         marks = () if file.parent.name in ALWAYS else pytest.mark.full
-        found.append(pytest.param(robot, id=file.parent.name, marks=marks))
-    return found
+        result.append(pytest.param(robot, id=file.parent.name, marks=marks))
+    return result
 
 
 @pytest.mark.skipif(not robots(), reason="../shared/robots is absent: no reference arms to try")

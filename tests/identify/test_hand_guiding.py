@@ -53,9 +53,9 @@ def test_goals_of_an_arm_at_rest_do_not_move(arm, grasp):
 @pytest.mark.parametrize("dt", [0.005, 0.02])
 def test_it_takes_the_time_of_a_loop_at_another_rate(arm, grasp, dt):
     """The motion that begins hand guiding, and estimated speeds, do not depend on the time step."""
-    hundred, other = pliant.HandGuiding(arm), pliant.HandGuiding(arm)
+    at_100_hz, at_other_rate = pliant.HandGuiding(arm), pliant.HandGuiding(arm)
     times, speeds = [], []
-    for floating, step in ((hundred, 0.01), (other, dt)):
+    for floating, step in ((at_100_hz, 0.01), (at_other_rate, dt)):
         ticks = 0
         while not floating.ready:
             floating.step(grasp, dt=step)
@@ -69,7 +69,7 @@ def test_it_takes_the_time_of_a_loop_at_another_rate(arm, grasp, dt):
     assert times[0] == pytest.approx(times[1], abs=0.5)
     assert speeds == pytest.approx([0.2, 0.2], rel=0.02)
     with pytest.raises(pliant.OutOfRangeError, match="dt"):
-        other.step(grasp, dt=0.0)
+        at_other_rate.step(grasp, dt=0.0)
 
 
 def test_only_a_known_stiffness_is_assumed(arm):

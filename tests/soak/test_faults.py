@@ -12,7 +12,7 @@ from experiments.faults import FAULT_CASES, WHEN, run_fault
 
 BY_TITLE = {case.title: case for case in FAULT_CASES}
 #: Reply timeout of cases in which every servo replies, long enough for a busy computer [s].
-BUSY = 0.3
+REPLY_TIMEOUT = 0.3
 #: Name of a row of the table, and the reaction of the arm.
 POWERED = {
     "one reply with a wrong checksum": "goes on",
@@ -33,19 +33,19 @@ def run_jump(shift=0.0):
     `shift` [s] is the time within a tick at which the hand takes hold.
     """
     case = BY_TITLE["the target jumps by 1 m for 1 s, back"]
-    return run_fault(case, held=True, when=WHEN + shift, patience=BUSY)
+    return run_fault(case, held=True, when=WHEN + shift, patience=REPLY_TIMEOUT)
 
 
-def throws_neither_the_arm_nor_a_hand(found):
-    assert found.ending == "goes on"
-    assert found.speed < 0.4
-    assert 5.0 < found.force <= found.allowed < 13.0
+def throws_neither_the_arm_nor_a_hand(outcome):
+    assert outcome.ending == "goes on"
+    assert outcome.speed < 0.4
+    assert 5.0 < outcome.force <= outcome.allowed < 13.0
 
 
 def test_a_target_that_jumps_throws_neither_the_arm_nor_a_hand_and_repeats_to_the_bit():
-    found = run_jump()
-    throws_neither_the_arm_nor_a_hand(found)
-    assert found == run_jump()
+    outcome = run_jump()
+    throws_neither_the_arm_nor_a_hand(outcome)
+    assert outcome == run_jump()
 
 
 @pytest.mark.parametrize("title", POWERED)
@@ -79,7 +79,7 @@ def test_a_jump_at_another_time_within_a_tick_is_no_worse(shift):
 
 @pytest.mark.full
 def test_a_run_without_a_fault_repeats_to_the_bit():
-    runs = [run_fault(BY_TITLE["no fault"], held=True, patience=BUSY) for _ in range(2)]
+    runs = [run_fault(BY_TITLE["no fault"], held=True, patience=REPLY_TIMEOUT) for _ in range(2)]
     assert runs[0] == runs[1]
 
 

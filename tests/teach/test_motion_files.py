@@ -96,30 +96,30 @@ def test_smoothing_names_what_it_cannot_do(motion_file):
 
 
 @pytest.mark.parametrize(
-    "words",
+    "command",
     [
         ["teach", "so101", "FILE.json"],
         ["run", "so101", "--log", "FILE.mcap"],
         ["replay", "so101", "m.json", "--log", "FILE.mcap"],
     ],
 )
-@pytest.mark.parametrize("place", ["folder", "/proc", "none"])
+@pytest.mark.parametrize("folder", ["folder", "/proc", "none"])
 def test_a_file_that_cannot_be_written_is_said_before_torque_comes_on(
-    motion_file, words, place, capsys, monkeypatch
+    motion_file, command, folder, capsys, monkeypatch
 ):
     pytest.importorskip("mcap", reason="logs need the extra log")
     path, _ = motion_file
     monkeypatch.chdir(path.parent)
     switched = []
     monkeypatch.setattr(pliant.arm.Arm, "enable", lambda *_: switched.append(1))
-    *others, file = words
+    *others, file = command
     for suffix in (".json", ".mcap"):
         (path.parent / f"folder{suffix}").mkdir()
     names = {"folder": "folder", "/proc": "/proc/pliant", "none": "none/x"}
-    file = file.replace("FILE", names[place])
+    file = file.replace("FILE", names[folder])
     assert main([*others, file, "--backend", "sim"]) == 2
     error = capsys.readouterr().err
-    assert ("there is no folder" if place == "none" else f"{file} cannot be written") in error
+    assert ("there is no folder" if folder == "none" else f"{file} cannot be written") in error
     assert error.count("\n") == 1
     assert not switched
 
