@@ -42,7 +42,7 @@ def test_a_child_notices_that_the_program_closed_its_end(ends):
 
 
 @pytest.mark.slow
-def test_a_child_that_cannot_start_is_no_error_of_the_start(ends):
+def test_a_child_that_cannot_start_does_not_raise(ends):
     assert start_module("no_such_module", ends[1]).wait(60) == 1
 
 

@@ -99,7 +99,7 @@ def test_bench_moves_through_the_ranges(latency):
         (["--tip", "tool"], "--tip tool belongs to --urdf"),
     ],
 )
-def test_what_bench_cannot_do_is_explained(latency, flags, message, capsys):
+def test_invalid_arguments_of_bench_are_explained(latency, flags, message, capsys):
     assert latency.main([*flags]) == 2
     assert message in capsys.readouterr().err
 

@@ -185,12 +185,12 @@ def cases():
 CASES = list(cases())
 
 
-def test_no_row_has_lost_what_differs():
+def test_all_cases_are_listed():
     assert len(CASES) == 113
 
 
 @pytest.mark.parametrize(("gap", "run"), [case[1:] for case in CASES], ids=[c[0] for c in CASES])
-def test_what_is_assumed_wrongly_differs(gap, run):
+def test_wrong_assumptions_differ_from_the_plant(gap, run):
     build(gap, run)
 
 

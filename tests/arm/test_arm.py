@@ -84,7 +84,7 @@ def test_goals_stay_within_position_limits_and_what_the_weight_needs(make):
         arm.leave_enabled()
 
 
-def test_what_cannot_be_sent_is_not(make, grasp):
+def test_invalid_commands_are_not_sent(make, grasp):
     arm = make()
     with pytest.raises(pliant.ServoError, match="torque is off"):
         arm.write(grasp)
@@ -138,7 +138,7 @@ def test_limp_is_torque_off_at_once(make):
     assert not arm.drive.enabled.any()
 
 
-def test_park_needs_a_pose_and_goes_there(make):
+def test_park_needs_a_rest_pose_and_moves_there(make):
     arm = make()
     with arm:
         with pytest.raises(pliant.ConfigError, match="no pose to park in"):
@@ -209,7 +209,7 @@ def test_a_joint_measured_outside_its_limits_gets_no_torque(make, grasp, directi
 
 
 @pytest.mark.parametrize("robot", ["arm7", "so101", "koch"])
-def test_an_arm_that_was_dropped_starts_from_where_it_lies(make, robot):
+def test_an_arm_that_was_dropped_starts_from_its_present_position(make, robot):
     arm = make(q=None, robot=robot)
     upper = np.asarray(arm.model.upper)
     arm.drive.plant.reset(np.where(np.isfinite(upper), 0.9 * upper, 0.0))
@@ -221,7 +221,7 @@ def test_an_arm_that_was_dropped_starts_from_where_it_lies(make, robot):
     arm.disable_torque()
 
 
-def test_readings_that_cannot_be_true_grow_old(make):
+def test_implausible_readings_are_not_used(make):
     arm = make()
     arm.enable()
     first = arm.read()
@@ -263,7 +263,7 @@ def test_a_gripper_holds_on_while_the_arm_comes_down(make):
     assert set(orders[-20:-1]) == {(0.2, 0.05)}
 
 
-def test_an_arm_names_what_does_not_fit(make):
+def test_arguments_of_an_arm_that_do_not_match_are_named(make):
     model = pliant.robots.arm7()
     drive = SimDrive(Plant(pliant.robots.so101()))
     with pytest.raises(pliant.ConfigError, match="no servo is named shoulder_pitch"):
@@ -334,7 +334,7 @@ def test_controllers_made_from_the_model_assume_the_arms_servos():
     assert arm.servos.kp.tolist()[:5] == model.servos.kp.tolist()
 
 
-def test_what_cannot_be_connected_is_named():
+def test_connect_names_an_invalid_arm():
     for nothing in (42, None):
         with pytest.raises(pliant.ConfigError, match="cannot connect to"):
             pliant.connect(nothing)

@@ -49,7 +49,7 @@ def test_a_supply_needs_known_currents():
 
 
 @pytest.mark.parametrize("name", ["continuous", "seconds", "supply", "hottest"])
-def test_what_is_not_a_number_is_no_budget(name):
+def test_a_budget_that_is_not_finite_is_refused(name):
     with pytest.raises(pliant.ConfigError, match=f"Budget.{name}: must be"):
         Budget(**{name: np.nan})
 

@@ -105,7 +105,7 @@ DEAD = ["gone", pytest.param("full", marks=pytest.mark.full), "blocked"]
 
 
 @pytest.mark.parametrize("kind", DEAD)
-def test_a_signal_lowers_whatever_became_of_the_reader(kind):
+def test_a_signal_lowers_the_arm_although_stderr_cannot_be_written(kind):
     with reader(kind) as stderr:
         stdout, _, _ = run(
             """
@@ -123,7 +123,7 @@ def test_a_signal_lowers_whatever_became_of_the_reader(kind):
 
 
 @pytest.mark.parametrize("kind", DEAD)
-def test_a_stalled_program_is_lowered_whatever_became_of_the_reader(kind):
+def test_a_stalled_program_is_lowered_although_stderr_cannot_be_written(kind):
     with reader(kind) as stderr:
         stdout, _, _ = run(
             """
@@ -235,7 +235,7 @@ def test_a_third_interrupt_leaves_a_bus_that_hangs():
     assert code == 130
 
 
-def test_an_interrupt_is_neither_buried_nor_swallowed():
+def test_an_interrupt_during_the_descent_is_raised_after_it():
     stdout, stderr, code = run("""
         def step():
             with connect() as arm:
@@ -303,7 +303,7 @@ def test_silence_is_had_by_the_means_of_logging(silence, is_printed):
         assert not lines
 
 
-def test_what_breaks_on_the_way_down_leaves_the_arm_carried(make, grasp, monkeypatch, caplog):
+def test_an_error_during_the_descent_leaves_torque_on(make, grasp, monkeypatch, caplog):
     def fail(*_, **__):
         raise ZeroDivisionError("a bug")
 
@@ -348,7 +348,7 @@ def test_a_message_of_a_process_without_the_thread_counts_as_written():
     assert MessageQueue().post("nothing is started").is_written
 
 
-def test_progress_comes_seldom_where_it_cannot_be_overwritten(capfd, monkeypatch):
+def test_progress_is_rare_on_a_stream_that_is_not_a_terminal(capfd, monkeypatch):
     monkeypatch.setattr(LOGGER, "hasHandlers", lambda: False)
     monkeypatch.setattr(sys, "stderr", sys.__stderr__)
     messages = MessageQueue()

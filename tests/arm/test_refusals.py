@@ -16,7 +16,7 @@ def write_for(arm, limit, seconds=0.5):
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3])
-def test_limits_below_the_weight_are_sent_and_said_once(make, grasp, share):
+def test_limits_below_the_weight_are_sent_with_one_warning(make, grasp, share):
     arm = make()
     weight = np.abs(arm.model.gravity(grasp))
     with arm:
@@ -148,6 +148,6 @@ def test_a_controller_with_another_tip_mass_or_range_is_accepted(make):
 
 
 @pytest.mark.parametrize("patience", [np.nan, -1.0, 0.0, "x"])
-def test_a_patience_that_is_no_time_is_refused(make, patience):
+def test_an_invalid_timeout_is_refused(make, patience):
     with pytest.raises(pliant.ConfigError, match=r"patience must be .*, got"):
         make().supervised(patience)

@@ -540,7 +540,7 @@ def test_no_random_schedule_leaves_the_arm_without_an_owner(monkeypatch, first, 
 
 @pytest.mark.parametrize("stride", [61, pytest.param(1, marks=pytest.mark.full)])
 @pytest.mark.parametrize("guardian", [False, True])
-def test_no_single_disturbance_at_any_line_does(monkeypatch, stride, guardian):
+def test_no_single_disturbance_at_any_line_breaks_an_invariant(monkeypatch, stride, guardian):
     """Try every action at every step, or at every `stride`-th."""
     disturbances = [("signal", INT), ("signal", TERM), ("switch", 0), ("fault", 1), ("fault", 120)]
     disturbances += [("kill", None)] * guardian

@@ -52,7 +52,7 @@ def test_every_cap_is_kept_where_joints_are_clear_of_their_stops(nominal):
     assert np.median([abs(promise.error) for promise in tested]) < 0.06
 
 
-def test_what_no_stop_was_announced_for_is_kept(nominal):
+def test_caps_without_an_announced_stop_are_kept(nominal):
     announced = [promise for promise in not_refused(nominal) if promise.announced]
     unannounced = [promise for promise in not_refused(nominal) if not promise.announced]
     assert len(unannounced) > 60

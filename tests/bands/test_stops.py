@@ -65,7 +65,7 @@ def test_a_soft_axis_does_not_drive_a_joint_out_of_its_limits(name, ticks):
         assert oscillation < 1e-3
 
 
-def test_nor_under_law_impedance():
+def test_a_soft_axis_of_law_impedance_does_not_either():
     most, _, _ = excursions("arm7", 20.0, 0, law="impedance")
     assert most < 0.02
 

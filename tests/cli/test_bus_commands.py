@@ -131,7 +131,7 @@ def test_setup_leaves_servos_with_torque_alone(arm, capsys):
     assert all(w.id != 2 for w in bus.log.eeprom_writes()[before:])
 
 
-def test_doctor_finds_what_setup_mends(arm, capsys):
+def test_doctor_finds_settings_that_setup_repairs(arm, capsys):
     bus, file = arm
     assert main(["servos", "doctor", str(file)]) == 2
     out = " ".join(capsys.readouterr().out.split())
@@ -155,7 +155,7 @@ def test_run_on_the_simulator_lowers_the_arm(capsys):
     assert "100 ticks" in capsys.readouterr().out
 
 
-def test_soft_axes_that_the_task_has_not_are_answered_with_its_own(capsys):
+def test_an_unknown_soft_axis_gets_the_axes_of_the_task(capsys):
     assert main(["run", "so101", "--backend", "sim", "--soft", "y yaw"]) == 2
     stderr = capsys.readouterr().err
     assert "--soft 'yaw': yaw is no axis of the task, which has x, y, z; task in" in stderr
@@ -198,7 +198,7 @@ def write_arm(file, bus, model):
 
 
 @pytest.mark.parametrize(("model", "registers"), REPAIRABLE)
-def test_what_opening_names_setup_for_setup_mends_and_undoes(model, registers, tmp_path, capsys):
+def test_setup_repairs_and_restores_what_open_rejects(model, registers, tmp_path, capsys):
     from pliant import ServoError
     from pliant.servo import ServoBus, ServoSpec
 

@@ -56,7 +56,7 @@ def test_a_rest_pose_inside_the_table_is_bad(tmp_path):
     assert "inside the table" in messages["rest pose"]
 
 
-def test_a_gain_that_the_servo_has_not_is_said():
+def test_a_gain_that_differs_from_the_servo_is_reported():
     with make_emulator(config.load("so101", backend="emulator"), clock="steps") as bus:
         arm_config = config.load("so101", port=bus.port)
         servo_bus = factory.make_bus(arm_config, {"main": bus.port})
@@ -101,7 +101,7 @@ def test_a_calibration_that_is_a_folder_cannot_be_read(tmp_path):
         config.read_calibration(tmp_path)
 
 
-def test_mistakes_stand_one_to_a_line(tmp_path, capsys):
+def test_every_mistake_has_its_own_line(tmp_path, capsys):
     file = tmp_path / "arm.toml"
     file.write_text(
         'bakend = 1\n[robot]\nbuiltin = "so101"\n[loop]\nrate = -1\ncomm_timeout = 99\n'

@@ -145,7 +145,7 @@ def test_a_motion_is_no_calibration(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("rate", ["-1", "333"])
-def test_a_rate_that_cannot_be_is_said_before_there_is_a_link(rate, capsys):
+def test_an_invalid_rate_is_reported_before_a_link_is_printed(rate, capsys):
     pytest.importorskip("mjviser", reason="the page needs the extra view")
     assert main(["view", "--rate", rate]) == 2
     captured = capsys.readouterr()
@@ -222,7 +222,7 @@ def test_file_and_urdf_disagree(error_texts):
     all_say(texts, "The chain has shoulder_pan, shoulder_lift")
 
 
-def test_torque_that_is_on_already_is_said_and_kept(tmp_path, capsys):
+def test_torque_that_is_already_on_is_reported_and_kept(tmp_path, capsys):
     file = tmp_path / "arm.toml"
     with Emulator(servos(1, 2, 3, 4, 5)) as bus:
         file.write_text(toml(bus.port))
@@ -244,7 +244,7 @@ def test_torque_that_is_on_already_is_said_and_kept(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("command", [["run", "--quiet"], ["view", "--http-port", "8943"]])
-def test_settings_that_no_controller_takes_are_said_before_torque(
+def test_invalid_settings_are_reported_before_torque_comes_on(
     command, tmp_path, capsys, monkeypatch
 ):
     monkeypatch.setattr(pliant.arm.Arm, "enable", lambda _: pytest.fail("torque came on"))

@@ -104,7 +104,7 @@ def test_pictures_and_tables_keep_to_their_kind(folder, capsys):
     assert not [name for name in contents(folder) if name.startswith(".")]
 
 
-def test_a_log_is_replaced_by_a_log_and_it_is_said(folder, capsys):
+def test_a_log_replaces_a_log_with_a_message(folder, capsys):
     argv = ["run", "koch", "--backend", "sim", "--duration", "0.2", "--quiet", "--log", "run.mcap"]
     assert main(argv) == 0
     assert "replaced" not in capsys.readouterr().err

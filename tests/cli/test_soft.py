@@ -32,7 +32,7 @@ def test_a_cap_is_constant_over_the_deviation(text):
         assert settings.axes["z"].adaptation == 0.0, "a named axis is as the flag says"
 
 
-def test_axes_that_are_not_named_hold_or_stay():
+def test_unnamed_axes_hold_or_keep_their_settings():
     held, unchanged = soft("y=2", holds=True), soft("y=2", holds=False)
     assert (held.axes["x"], held.axes["z"]) == (pliant.Axis(), pliant.Axis())
     assert (unchanged.axes["x"], unchanged.axes["z"]) == (SETTINGS.axes["x"], SETTINGS.axes["z"])
@@ -66,7 +66,7 @@ def test_everything_else_of_the_settings_is_kept():
     ],
 )
 @pytest.mark.parametrize("holds", [True, False])
-def test_what_cannot_be_is_refused(text, message, holds):
+def test_invalid_values_are_refused(text, message, holds):
     with pytest.raises(pliant.ConfigError, match=message):
         soft(text, holds=holds)
 

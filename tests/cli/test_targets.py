@@ -44,7 +44,7 @@ PORT = 20177
         ('{"wxyz": [1, 0, 0, 0], "xyzw": [0, 0, 0, 1]}', "one quaternion"),
     ],
 )
-def test_targets_that_are_none(line, message, tmp_path, capsys):
+def test_invalid_targets(line, message, tmp_path, capsys):
     file = tmp_path / "bad.jsonl"
     file.write_text(f'{{"position": [0.2, 0, 0.2]}}\n{line}\n')
     assert main(["run", "so101", "--backend", "sim", "--targets", str(file)]) == 2
@@ -114,7 +114,7 @@ INVALID_LINES = [
 
 
 @pytest.mark.parametrize("line", INVALID_LINES)
-def test_a_wrong_line_of_a_stream_is_said_and_skipped(line, pipe, capsys):
+def test_an_invalid_line_of_a_stream_is_reported_and_skipped(line, pipe, capsys):
     source, write, end = pipe
     write(line)
     assert source.latest() is None
@@ -138,7 +138,7 @@ def test_of_many_lines_the_newest_counts(pipe):
     assert source.latest() is None
 
 
-def test_refusals_are_said_a_few_times_a_second(pipe, capsys):
+def test_refusals_are_reported_a_few_times_per_second(pipe, capsys):
     source, write, _ = pipe
     for _ in range(6):
         write(b"nonsense\n")
@@ -212,7 +212,7 @@ def test_a_flood_of_datagrams_does_not_hold_a_tick():
             thread.join()
 
 
-def test_a_target_that_was_not_reached_is_said(tmp_path, capsys):
+def test_a_target_that_was_not_reached_is_reported(tmp_path, capsys):
     file = tmp_path / "targets"
     file.write_bytes(TARGET_LINE)
     argv = ["run", "so101", "--backend", "sim", "--quiet", "--targets", str(file)]

@@ -109,7 +109,7 @@ def test_a_backup_from_before_is_still_read(after_setup, capsys):
         ({"foo": 1}, "an entry has joint, id, register"),
     ],
 )
-def test_what_does_not_belong_is_refused_before_the_first_write(
+def test_a_backup_that_does_not_match_is_refused_before_the_first_write(
     change, message, after_setup, capsys
 ):
     bus, file, backup, _ = after_setup
@@ -126,7 +126,7 @@ def test_what_does_not_belong_is_refused_before_the_first_write(
 @pytest.mark.parametrize(
     "text", ["{}", "null", "5", '"abc"', "[1, 2]", "[" * 100_000, "1" * 5000, '{"format": 3}']
 )
-def test_what_is_no_backup(text, after_setup, capsys):
+def test_invalid_backups_are_refused(text, after_setup, capsys):
     _, file, backup, _ = after_setup
     backup.write_text(text)
     assert main(["servos", "setup", str(file), "--undo", str(backup), "--yes"]) == 2

@@ -144,7 +144,7 @@ def test_seconds_are_refused_where_they_mean_nothing(flags, capsys):
     assert "--duration" in capsys.readouterr().err
 
 
-def test_ready_points_to_what_no_program_sees(monkeypatch, capsys):
+def test_doctor_without_problems_points_to_watch(monkeypatch, capsys):
     monkeypatch.setattr("pliant.cli.servos.doctor.examine", lambda _: iter(()))
     assert main(["servos", "doctor", "so101", "--backend", "emulator"]) == 0
     assert "the same command with --watch" in " ".join(capsys.readouterr().out.split())

@@ -95,7 +95,7 @@ def test_urdf_and_file_that_disagree_on_joints():
         (SIM + "[loop]\nreply_timeout_min = 1e9", r"loop\.reply_timeout_min = 1000000000\.0: .* 1"),
     ],
 )
-def test_mistakes_are_named_with_what_would_be_right(text, message):
+def test_mistakes_are_named_with_valid_values(text, message):
     with pytest.raises(pliant.ConfigError, match=message) as error:
         config.parse(text, source="arm.toml")
     assert str(error.value).startswith("arm.toml")
@@ -113,7 +113,7 @@ def test_a_rest_pose_of_another_arm_is_named_with_its_file(rest, message):
     assert str(error.value).startswith("arm.toml")
 
 
-def test_all_mistakes_are_said_at_once():
+def test_all_mistakes_are_reported_together():
     with pytest.raises(pliant.ConfigError) as error:
         config.parse("robto = 1\n[loop]\nrate = 0\n[port]\nx = 1")
     first, *lines = str(error.value).splitlines()
@@ -121,7 +121,7 @@ def test_all_mistakes_are_said_at_once():
     assert [line.split()[0] for line in lines] == ["robot", "port", "loop.rate", "robto"]
 
 
-def test_mistakes_of_settings_and_servos_are_said_with_the_rest():
+def test_mistakes_in_settings_and_servos_are_reported_with_the_others():
     text = SIM.replace("backend", "bakend = 1\nbackend") + (
         '[loop]\nrate = -1\n[servo]\na = { model = "STS3512-7.4V", id = "4" }\n[settings]\n'
         'lw = "cap"\nmax_tool_speed = -1\ntask = "xyz"\n'
@@ -147,7 +147,7 @@ def test_mistakes_of_settings_and_servos_are_said_with_the_rest():
 
 
 @pytest.mark.parametrize("first", ['task = "xyzq"', 'law = "capp"'])
-def test_what_depends_on_a_wrong_field_is_not_judged(first):
+def test_fields_that_depend_on_an_invalid_one_are_not_checked(first):
     with pytest.raises(pliant.ConfigError) as error:
         config.parse(SIM + f"[settings]\n{first}\ntracking.gain = [1.0, 1.0, 1.0]\n")
     assert str(error.value).count("settings: ") == 1
@@ -164,7 +164,7 @@ def test_what_depends_on_a_wrong_field_is_not_judged(first):
         ("[life]\nrest_q = ['0', 0, 0, 0, 0]", r"life\.rest_q\[0\] = '0'"),
     ],
 )
-def test_a_number_in_quotes_is_none(text, message):
+def test_a_number_in_quotes_is_refused(text, message):
     with pytest.raises(pliant.ConfigError, match=message):
         config.parse(SIM + text)
 
@@ -212,7 +212,7 @@ def test_a_gain_that_a_servo_does_not_keep_is_rejected():
         config.parse(SIM + '[servo.a]\nmodel = "XM430-W350"\nid = 1\ngain = 800')
 
 
-def test_files_that_are_not_there(tmp_path):
+def test_missing_files(tmp_path):
     with pytest.raises(pliant.ConfigError, match="so101"):
         config.load("so-101")
     with pytest.raises(pliant.ConfigError, match=r"no file .*arm\.toml"):
@@ -327,7 +327,7 @@ def test_a_bound_on_a_dead_host_reaches_the_servos_from_the_file():
         config.parse(text + "torque_limits.max_host_loss_forc = 44.0\n").settings()
 
 
-def test_a_wrong_task_is_said_once_and_as_the_task():
+def test_an_invalid_task_is_reported_once():
     with pytest.raises(pliant.ConfigError) as error:
         config.parse(SIM + "[settings]\ntask = { axes = 3 }\naxes.y = { frim = 1.0 }\n")
     assert str(error.value).count("settings: task.") == 1

@@ -29,14 +29,14 @@ def test_a_file_is_read_as_it_is(tmp_path):
         ([], "is no table"),
     ],
 )
-def test_what_is_wrong_with_a_motor_is_named(tmp_path, entry, message):
+def test_invalid_entries_of_a_motor_are_named(tmp_path, entry, message):
     file = tmp_path / "arm.json"
     file.write_text(json.dumps({"shoulder_pan": entry}))
     with pytest.raises(pliant.ConfigError, match=message):
         read_calibration(file)
 
 
-def test_files_that_are_no_calibration(tmp_path):
+def test_files_that_are_not_calibrations(tmp_path):
     with pytest.raises(pliant.ConfigError, match="lerobot-calibrate"):
         read_calibration(tmp_path / "none.json")
     for text in ("{", "[]", "{}", '"x"'):
@@ -58,7 +58,7 @@ def test_a_number_that_no_register_holds_is_refused(tmp_path, key):
 
 
 @pytest.mark.parametrize(("key", "count"), [("range_min", -1), ("range_max", 4096)])
-def test_a_range_that_the_encoder_has_not_is_refused(tmp_path, key, count):
+def test_a_range_outside_the_encoder_is_refused(tmp_path, key, count):
     (tmp_path / "cal.json").write_text(json.dumps({"shoulder_pan": {**MOTOR, key: count}}))
     text = (
         'robot.builtin = "so101"\ncalibration = "cal.json"\n[[port]]\npath = "/dev/x"\n[servo]\n'

@@ -138,7 +138,7 @@ def test_k_p_is_known_where_the_file_has_it_for_the_whole_chain(kp):
     assert bus_servos.stiffness_known is kp
 
 
-def test_a_finger_without_ends_that_no_file_describes_stays(tmp_path):
+def test_a_finger_without_limits_and_servo_is_fixed(tmp_path):
     """A finger without limits in the URDF and without a servo in the file is a fixed joint."""
     link = '<link name="{0}"><inertial><mass value="0.1"/><inertia ixx="1e-4" iyy="1e-4" \
 izz="1e-4" ixy="0" ixz="0" iyz="0"/></inertial></link>'

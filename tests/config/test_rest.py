@@ -29,7 +29,7 @@ def load(name, **options):
     return config.load(name, urdf=urdf, **options)
 
 
-def test_every_ready_file_has_a_rest_pose_and_a_table_or_none():
+def test_ready_files_have_rest_pose_and_table_or_neither():
     for name in config.list_arms():
         arm_config = config.load(name)
         assert arm_config.life.rest_q is not None, name
@@ -89,7 +89,7 @@ def test_an_arm_of_a_ready_file_is_parked_and_lies_on_its_table(name):
 BLOCKED_POSE = [0.0, 1.24, 1.23, 1.24, 0.0]
 
 
-def test_a_way_through_the_table_is_found():
+def test_a_path_through_the_table_is_detected():
     model = pliant.robots.so101()
     points, rest_q = ArmPoints(model), np.array(config.load("so101").life.rest_q)
 

@@ -104,7 +104,7 @@ def test_a_tare_takes_a_wrong_stiffness_out():
         ({"torque_constant": [1.0]}, r"torque_constant has shape \(1,\)"),
     ],
 )
-def test_what_cannot_be_is_refused_by_name(options, text):
+def test_invalid_arguments_are_refused_by_name(options, text):
     with pytest.raises(pliant.PliantError, match=text):
         pliant.ContactEstimator(controller(), **options)
 

@@ -25,7 +25,7 @@ def test_residual_and_feed_forward_have_one_friction(friction_speed):
     assert np.abs(estimate.torque_residual).max() < 1e-3 * FRICTION
 
 
-def test_a_bound_that_is_said_is_enough_when_it_is_typed():
+def test_the_bound_of_an_error_message_is_accepted():
     model = pliant.robots.so101()
     controller = pliant.Controller(model, pliant.Settings.firm(task="xyz"))
     contact = pliant.ContactEstimator(controller)

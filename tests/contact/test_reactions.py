@@ -102,12 +102,12 @@ def test_one_condition_serves_two_reactions():
         (lambda: rx.Reaction(rx.ResidualAbove(), rx.Stop(), until=rx.After(1.0)), "resume"),
     ],
 )
-def test_what_cannot_be_is_refused(make, text):
+def test_invalid_values_are_refused(make, text):
     with pytest.raises((pliant.PliantError, TypeError), match=text):
         make()
 
 
-def test_a_watch_refuses_what_its_arm_cannot_tell_or_do():
+def test_conditions_and_actions_that_the_arm_lacks_are_refused():
     ctl = controller()
     with pytest.raises(pliant.OutOfRangeError, match="cannot tell a contact from friction"):
         rx.ReactionMonitor(ctl, [rx.Reaction(rx.Force("z", above=1.0), rx.Hold())])

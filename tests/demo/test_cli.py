@@ -101,7 +101,7 @@ def test_a_folder_that_cannot_be_made_is_one_line(capsys, tmp_path):
     assert capsys.readouterr().err.splitlines()[-1].startswith("error: ")
 
 
-def test_bands_that_are_missed_are_said_with_number_and_reason():
+def test_missed_bands_are_printed_with_number_and_reason():
     pytest.importorskip("mujoco")
     from experiments.demo import missed
     from experiments.report import Chapter, Check, Figure, Statement

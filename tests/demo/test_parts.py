@@ -12,7 +12,7 @@ from experiments.runner import Job, run_by_key
 from pliant._report.words import listed
 
 
-def test_a_test_includes_its_bounds_and_no_number_passes_that_is_none():
+def test_a_check_includes_its_bounds_and_fails_for_non_finite_numbers():
     assert Check(name="a", value=1.0, low=1.0, high=1.0).passed
     assert not at_most("a", 1.1, 1.0).passed
     assert not at_least("a", 0.9, 1.0).passed

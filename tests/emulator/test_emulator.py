@@ -119,7 +119,7 @@ def test_real_time_moves_servos_by_itself():
             emulator.advance(0.1)
 
 
-def test_wrong_speed_is_silence():
+def test_a_wrong_baud_rate_gets_no_reply():
     with sts() as emulator, Host(emulator.port, termios.B115200) as host:
         assert host.ask(p1(1, 1), 6, patience=0.05) == b""
         settings = termios.tcgetattr(host.fd)

@@ -17,7 +17,7 @@ def bus(**shares):
     return wire(*(Device("STS3215", id) for id in (1, 2, 3)), faults=faults), faults
 
 
-def test_lose_strikes_one_servo_so_often():
+def test_fault_lose_affects_one_servo_for_the_given_count():
     line, faults = bus()
     faults.inject("lose", 2, count=2)
     lengths = [len(ask(line, READ_ALL)) for _ in range(4)]
@@ -132,7 +132,7 @@ def test_an_echoing_adapter_sends_the_request_back_first():
     assert ask(line, p1(1, 1)) == p1(1, 1) + p1(1, 0)
 
 
-def test_the_wrong_speed_is_not_understood():
+def test_requests_at_a_wrong_baud_rate_are_ignored():
     line, _ = bus()
     assert line.feed(p1(1, 1), 115_200) == []
     assert line.feed(p1(1, 1), BAUD)

@@ -18,7 +18,7 @@ def remote():
         yield emulator
 
 
-def test_answers_and_takes_orders(remote):
+def test_the_process_replies_and_executes_commands(remote):
     with Host(remote.port) as host:
         os.write(host.fd, p1(0xFE, 3, 48, *le16(321)))
         remote.call("advance", 0.05)
@@ -39,7 +39,7 @@ def test_a_failing_factory_gives_the_reason():
         EmulatorProcess(Emulator, [])
 
 
-def test_a_missing_extra_is_said_in_its_own_words():
+def test_a_missing_extra_keeps_its_message():
     with pytest.raises(ImportError, match=r'^pliant\.sim needs the extra "sim": \S.* install'):
         EmulatorProcess(without_extra)
 

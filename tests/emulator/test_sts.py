@@ -76,7 +76,7 @@ def test_goals_are_cut_to_the_position_limits():
     assert servo.get("goal_position") == 3000
 
 
-def test_what_it_does_not_accept_it_ignores_without_an_error():
+def test_refused_writes_are_ignored_without_an_error():
     line, servo = single_servo("STS3215")
     assert write1(line, "torque_limit", *le16(1001)) == 0
     assert write1(line, "present_position", *le16(5)) == 0

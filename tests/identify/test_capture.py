@@ -61,7 +61,7 @@ def test_a_drifting_arm_is_stopped_with_a_remedy():
     assert "controller.update(found.remedy)" in str(capture)
 
 
-def test_a_wrong_payload_is_said_to_be_clipped(arm, grasp):
+def test_the_report_names_a_payload_that_was_clipped(arm, grasp):
     plant, controller = arm_in_pose(arm, grasp, payload=1.2, kp=0.4)
     capture = identify.capture_gravity(plant, controller, check=0.0)
     assert capture.clipped.any()

@@ -79,7 +79,7 @@ def test_only_a_known_stiffness_is_assumed(arm):
     assert (open_[1] / open_[0]).min() > 4.0
 
 
-def test_what_cannot_be_used_is_refused(arm, grasp):
+def test_invalid_arguments_of_hand_guiding_are_refused(arm, grasp):
     with pytest.raises(pliant.OutOfRangeError, match="rate"):
         pliant.HandGuiding(arm, rate=1.0)
     floating = pliant.HandGuiding(arm)

@@ -37,7 +37,7 @@ def counting(ticks, log):
     return start
 
 
-def test_positions_go_in_and_the_last_order_stays():
+def test_positions_are_passed_and_the_last_command_is_kept():
     log = []
     procedure = Procedure(counting(3, log), 2)
     orders = [procedure.step([float(k), 0.0]).goal[0] for k in range(5)]
@@ -54,7 +54,7 @@ def test_drive_runs_an_arm_that_advances():
     assert len(arm.sent) == 5  # four steps, and the last command again
 
 
-def test_what_was_changed_is_put_back_when_the_arm_fails():
+def test_settings_are_restored_when_the_arm_fails():
     log = []
 
     class Failing(Still):

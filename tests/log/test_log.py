@@ -270,7 +270,7 @@ def test_hand_guiding_is_logged_without_a_controller(tmp_path):
         verify(log)
 
 
-def test_what_cannot_be_a_log_is_said(tmp_path):
+def test_invalid_logs_are_reported(tmp_path):
     with bare_arm("arm7", q=START) as arm:
         controller = pliant.Controller(arm.model, pliant.Settings.soft("y"), arm.servos)
         controller.step(START, arm.model.forward_kinematics(START))

@@ -62,6 +62,6 @@ def test_settings_keep_every_bit():
 
 
 @pytest.mark.parametrize("text", ["", "{", '{"type": "Popen", "fields": {}}', '{"fields": 1}'])
-def test_what_is_none_is_refused(text):
+def test_invalid_values_are_refused(text):
     with pytest.raises(pliant.ConfigError, match="description"):
         serialization.read(text)

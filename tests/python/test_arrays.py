@@ -229,7 +229,7 @@ def test_wrong_shapes_name_argument_shape_and_expectation(name, good, call, bad)
 
 @each_argument
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_numbers_that_are_none_are_refused_by_name(name, good, call, bad):
+def test_non_finite_numbers_are_refused_by_name(name, good, call, bad):
     value = np.array(good)
     value[(-1,) * good.ndim if name not in {"target", "actual"} else (0, 3)] = bad
     with pytest.raises(pliant.OutOfRangeError) as error:
@@ -253,7 +253,7 @@ def test_numbers_that_are_none_are_refused_by_name(name, good, call, bad):
     ],
     ids=["text", "none", "texts", "ragged", "complex", "flags", "dict", "object"],
 )
-def test_what_holds_no_numbers_is_a_type_error_by_name(name, good, call, bad):
+def test_objects_without_numbers_are_type_errors_by_name(name, good, call, bad):
     if bad is None and name in {"dq", "twist", "gradient"}:
         return  # None is the default
     with pytest.raises(TypeError, match=f"^{name} must be an array of numbers"):

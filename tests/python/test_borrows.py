@@ -150,7 +150,7 @@ def test_objects_in_use_raise():
     assert "threading.Lock" in messages[0]
 
 
-def test_masked_arrays_are_no_numbers():
+def test_masked_arrays_are_refused():
     controller, contact, target = make_objects()
     masked = np.ma.array(Q, mask=[True, False, False, False, False])
     pose = np.ma.array(target, mask=False)
@@ -170,7 +170,7 @@ def test_masked_arrays_are_no_numbers():
             call()
 
 
-def test_numpy_truth_values_are_no_numbers():
+def test_numpy_booleans_are_not_accepted_as_numbers():
     controller, contact, target = make_objects()
     for value in (True, np.bool_(True), np.array(True), np.array(False)):
         for call in (

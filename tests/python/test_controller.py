@@ -125,12 +125,12 @@ def test_a_position_is_enough_without_rotations(model, q, target):
         pliant.Controller(model).step(q, target[:3, 3])
 
 
-def test_seven_numbers_are_no_pose(controller, q):
+def test_seven_numbers_are_not_accepted_as_a_pose(controller, q):
     with pytest.raises(pliant.ShapeError, match=r"Pose.from_wxyz.* or pliant.Pose.from_xyzw"):
         controller.step(q, [0.1, 0.2, 0.3, 1.0, 0.0, 0.0, 0.0])
 
 
-def test_what_is_no_pose_is_refused(controller, q, target):
+def test_invalid_poses_are_refused(controller, q, target):
     for damage in (
         lambda t: t[3].fill(0.0),
         lambda t: t[0].__imul__(2.0),
@@ -163,9 +163,7 @@ BAD_STEPS = {
 
 @pytest.mark.parametrize("is_started", [False, True], ids=["fresh", "running"])
 @pytest.mark.parametrize("invalid_q", BAD_STEPS)
-def test_after_an_error_the_next_step_is_as_if_nothing_had_been(
-    model, q, target, invalid_q, is_started
-):
+def test_an_error_does_not_affect_the_next_step(model, q, target, invalid_q, is_started):
     settings = pliant.Settings.soft("y", tracking=pliant.Tracking(integrate=0.5))
     reference, disturbed = pliant.Controller(model, settings), pliant.Controller(model, settings)
     if is_started:
@@ -277,7 +275,7 @@ def test_update_takes_over_position_targets(model, q, target):
     controller.step(q, target[:3, 3])
 
 
-def test_update_surveys_what_a_fresh_controller_would(model, q, target):
+def test_update_computes_the_capacities_of_a_new_controller(model, q, target):
     """Capacities of poses are cached by axes and frame of the task, so a new task has its own."""
     rotation = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     tasks = (
@@ -299,7 +297,7 @@ def test_update_surveys_what_a_fresh_controller_would(model, q, target):
         assert running.report().sigma_0 == new.report().sigma_0
 
 
-def test_what_a_law_needs_is_said(q):
+def test_errors_name_the_parameters_that_a_law_needs(q):
     from pathlib import Path
 
     urdf = Path(__file__).resolve().parents[1] / "data" / "golden" / "arm7.urdf"

@@ -114,7 +114,7 @@ def test_an_object_of_another_kind_is_answered_with_how_to_get_one(model):
             call()
 
 
-def test_a_keyword_that_is_like_none_is_answered_with_all():
+def test_an_unknown_keyword_gets_the_list_of_keywords():
     with pytest.raises(pliant.ConfigError, match=r"no such field\. Fields: task, axes"):
         pliant.Settings.soft("y", qqqqq=1)
     with pytest.raises(pliant.ConfigError, match=r"no such keyword\. Keywords: base"):

@@ -86,7 +86,7 @@ def test_absent_limits_are_nan_and_infinite():
     assert model.joints[0].lower is None
 
 
-def test_a_file_that_is_not_there_is_pythons_own_error(tmp_path):
+def test_a_missing_file_raises_file_not_found_error(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"no such file: '.*nowhere.urdf'"):
         pliant.Model.from_urdf(tmp_path / "nowhere.urdf")
     with pytest.raises(FileNotFoundError, match=r"this is XML text: use Model.from_urdf_str"):
@@ -119,7 +119,7 @@ def test_a_missing_frame_lists_those_there_are():
     assert "gripper_link" in error.value.available
 
 
-def test_one_tree_of_exceptions():
+def test_all_exceptions_have_one_base_class():
     tree = {
         pliant.PliantError: Exception,
         pliant.UrdfError: pliant.PliantError,

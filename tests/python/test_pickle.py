@@ -48,7 +48,7 @@ def steps(controller, q, target, count=30):
 
 @pytest.mark.parametrize("method", COPIES)
 @pytest.mark.parametrize("law", LAWS)
-def test_a_copy_goes_on_to_the_bit(model, q, target, method, law):
+def test_a_copy_continues_bit_for_bit(model, q, target, method, law):
     controller = pliant.Controller(model, LAWS[law])
     restored = COPIES[method](controller)
     assert steps(controller, q, target, 8) == steps(restored, q, target, 8)
@@ -110,7 +110,7 @@ def test_a_pickle_leaves_readings_behind_and_a_copy_does_not(controller, q, targ
     assert str(unpickled.report(q)) == str(controller.report(q))
 
 
-def test_what_another_arm_carried_is_refused(model, q, target):
+def test_a_state_of_another_arm_is_refused(model, q, target):
     other = pliant.robots.so101()
     for damage, match in (
         (lambda c: c.step(q, target), "state"),

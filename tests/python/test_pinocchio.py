@@ -114,7 +114,7 @@ def _references():
 
 @pytest.mark.skipif(not ROBOTS.is_dir(), reason=f"no third-party robots in {ROBOTS}")
 @pytest.mark.parametrize("path", _references(), ids=lambda p: f"{p.parent.name}-{p.stem}")
-def test_robots_that_people_own(path):
+def test_real_robots(path):
     facts = json.loads(path.read_text(encoding="utf-8"))
     _compare(path.parent / facts["urdf"], facts["base"], facts["tip"])
 

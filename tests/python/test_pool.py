@@ -68,7 +68,7 @@ POINTER = ctypes.POINTER(ctypes.c_double * 7)
 
 @pytest.mark.parametrize("field", FIELDS)
 @pytest.mark.parametrize("view", VIEWS)
-def test_whatever_sees_an_array_protects_it(controller, q, target, field, view):
+def test_every_view_of_an_array_protects_it(controller, q, target, field, view):
     make_view, read_view = VIEWS[view]
     run(controller, q, target, 3)
     kept = make_view(getattr(controller.step(q, target), field))

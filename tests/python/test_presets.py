@@ -103,7 +103,7 @@ def test_axes_that_a_preset_needs_must_belong_to_the_task():
         ),
     ],
 )
-def test_what_makes_no_sense_is_refused_by_name(make, message):
+def test_invalid_arguments_are_refused_by_name(make, message):
     with pytest.raises(pliant.PliantError, match=message):
         make()
 

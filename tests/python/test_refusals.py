@@ -15,7 +15,7 @@ def error_text(call, *args, **kwargs) -> str:
 
 
 @pytest.mark.parametrize("dt", [1.01, 10.0])
-def test_a_time_in_milliseconds_is_no_time(controller, model, q, target, dt):
+def test_a_time_in_milliseconds_is_refused(controller, model, q, target, dt):
     message = rf"dt [s] = {dt:g} is outside (0, 1]; is it in milliseconds?"
     assert error_text(controller.step, q, target, dt=dt) == message
     assert error_text(controller.step_joints, q, q, dt=dt) == message
@@ -28,7 +28,7 @@ def test_a_time_in_milliseconds_is_no_time(controller, model, q, target, dt):
 
 
 @pytest.mark.parametrize("axis", range(3))
-def test_a_place_in_millimetres_is_no_place(model, q, target, axis):
+def test_a_position_in_millimetres_is_refused(model, q, target, axis):
     controller = pliant.Controller(model, pliant.Settings(task="xyz"))
     position = target[:3, 3].copy()
     position[axis] = target[axis, 3] = -250.0
@@ -47,14 +47,14 @@ def test_a_place_in_millimetres_is_no_place(model, q, target, axis):
     assert np.isfinite(controller.step(q, position).goal).all()
 
 
-def test_a_pose_with_a_wrong_last_row_is_no_posture(model, target):
+def test_a_pose_with_a_wrong_last_row_is_refused(model, target):
     controller = pliant.Controller(model)
     target[3, 0] = 1.0
     message = "last row of a 4×4 pose must be 0 0 0 1, got 1 0 0 1"
     assert error_text(controller.check, target) == f"path_or_pose: {message}"
 
 
-def test_what_is_not_a_number_is_said_plainly(model, q, target):
+def test_nan_is_named_in_the_error(model, q, target):
     invalid_q = np.where(np.arange(7) == 2, np.nan, q)
     name = model.joint_names[2]
     assert error_text(model.forward_kinematics, invalid_q) == f"q[2] ({name}) = NaN is outside ±1e6"
@@ -146,14 +146,14 @@ def calls(model, q):
     }
 
 
-def test_an_argument_of_another_kind_is_named_with_what_would_do(model, q):
+def test_an_argument_of_a_wrong_type_is_named_with_valid_types(model, q):
     for name, (call, expected) in calls(model, q).items():
         message = error_text(call)
         assert message.startswith(name.strip()), message
         assert f"must be {expected}" in message, message
 
 
-def test_an_axis_is_named_by_what_it_is(model):
+def test_errors_name_the_axis(model):
     assert error_text(pliant.Axis, soft=5, firm=1) == "Axis.soft = 5 is outside [0, firm = 1]"
     settings = pliant.Settings(
         axes={"y": pliant.Axis(yields="both", stiffness=1e5)}, law="impedance"

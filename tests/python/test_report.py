@@ -40,7 +40,7 @@ def largest_host_loss_force(report):
 
 
 @pytest.mark.parametrize("offset", [0.0, 0.03])
-def test_dead_host_max_bounds_what_is_left_of_a_dead_host(model, q, offset):
+def test_max_host_loss_force_bounds_the_force_after_a_host_loss(model, q, offset):
     target = model.forward_kinematics(q)
     target[0, 3] += offset
     unbounded = pliant.Controller(model, pliant.Settings.soft("y"))
@@ -60,7 +60,7 @@ def test_dead_host_max_bounds_what_is_left_of_a_dead_host(model, q, offset):
     assert not [said for said in report.summary() if "max_host_loss_force" in said]
 
 
-def test_more_than_the_weight_leaves_cannot_be_kept(model, q):
+def test_a_bound_below_the_share_of_the_weight_is_reported(model, q):
     settings = pliant.Settings.soft(
         "y", torque_limits=pliant.TorqueLimits(max_host_loss_force=10.0)
     )
@@ -85,7 +85,7 @@ def test_more_than_the_weight_leaves_cannot_be_kept(model, q):
             pliant.Settings(torque_limits=pliant.TorqueLimits(max_host_loss_force=wrong))
 
 
-def test_what_delay_takes_off_springs_and_dampers_can_be_read(model, q):
+def test_the_reduction_of_springs_and_dampers_by_delay_is_reported(model, q):
     springs = {"xyz": pliant.Axis(stiffness=800.0, damping=90.0)}
     controller = pliant.Controller(model, pliant.Settings(law="impedance", axes=springs))
     report = controller.report(q)
@@ -257,7 +257,7 @@ def test_tracking_raises_soft_to_three_times_the_friction(model, q):
     assert np.min(original.raise_soft(model).axes["y"].soft) > 0.1
 
 
-def test_a_singular_pose_that_a_push_leads_to_is_said(model):
+def test_a_singular_pose_that_a_push_leads_to_is_reported(model):
     """The elbow is nearly stretched, so that an outward push ends at the arm's reach."""
     q = np.array([-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657])
     bent_q = q.copy()

@@ -363,7 +363,7 @@ INVALID = {
 
 
 @pytest.mark.parametrize("case", INVALID)
-def test_what_is_wrong_is_said_with_the_remedy(case):
+def test_invalid_settings_are_reported_with_a_remedy(case):
     call, message = INVALID[case]
     with pytest.raises(pliant.ConfigError, match=message) as error:
         call()

@@ -157,7 +157,7 @@ def test_published_target_moves_the_tool(running, client):
     )
 
 
-def test_json_that_is_no_pose_is_refused(running, client):
+def test_json_without_a_valid_pose_is_refused(running, client):
     before = running.bridge.target.copy()
     text = "a geometry_msgs/msg/PoseStamped has the fields header, pose"
     publish_until(

@@ -88,7 +88,7 @@ def test_definitions_are_the_types_of_ros(name):
 
 
 @pytest.mark.parametrize("data", [b"", b"\x00", b"\x00\x01\x00\x00" + b"\xff" * 40])
-def test_bytes_that_are_no_message_are_a_value_error(data):
+def test_invalid_bytes_of_a_message_are_a_value_error(data):
     with pytest.raises(ValueError, match="bytes are not a"):
         wire.decode(ros.JOINT_STATE, data)
 

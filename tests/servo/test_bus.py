@@ -53,7 +53,7 @@ def test_limits_on_the_wire_are_what_was_asked(emulated, enabled, kind):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_what_is_negative_is_named_with_its_joint(emulated, enabled, kind):
+def test_negative_values_are_named_with_their_joint(emulated, enabled, kind):
     with emulated(kind, 2, clock="steps") as (_, servo_bus):
         enabled(servo_bus)
         name = servo_bus.names[1]

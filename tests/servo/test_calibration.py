@@ -74,7 +74,7 @@ def test_every_joint_that_differs_is_named(tmp_path):
         assert f"{joint} (id" in str(error.value)
 
 
-def test_a_direction_that_the_servo_has_not_is_refused_and_one_of_lerobots_own_is_said(tmp_path):
+def test_an_impossible_direction_is_refused_and_one_of_lerobot_is_noted(tmp_path):
     changes = {"wrist_flex": {"drive_mode": 1}}
     with pytest.raises(pliant.ServoError, match=r"drive_mode 1, the servo 0: it counts in"):
         open_bus("koch", tmp_path, **changes)

@@ -78,7 +78,7 @@ def test_no_single_lost_packet_switches_torque_on_with_an_old_goal(kind, fault):
 
 
 @pytest.mark.parametrize("kind", ["sts", "xm", "mx"])
-def test_torque_that_could_not_be_taken_back_is_said(kind):
+def test_torque_that_could_not_be_switched_off_again_is_reported(kind):
     """All packets are lost after the first servo has switched its torque on."""
     with Emulator(devices(kind, 2), clock="steps") as bus, servo_bus_on(bus, kind, 2) as servo_bus:
         goal, faults = servo_bus.read().position, bus.lines["main"].faults
@@ -306,9 +306,7 @@ def test_a_line_that_is_never_silent_is_reported_at_open(kind, disturbance):
         ("sts", 1, [True, True]),  # the goal has switched on the second servo
     ],
 )
-def test_a_signal_while_torque_comes_on_does_not_drop_an_arm_that_hangs_on_it(
-    kind, number, expected, monkeypatch
-):
+def test_a_signal_while_torque_comes_on_does_not_drop_the_arm(kind, number, expected, monkeypatch):
     """The signal comes after joint `number` got torque; number 3: while motion is checked."""
     original, count = _enable._set, 0
 

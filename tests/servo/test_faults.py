@@ -157,7 +157,7 @@ def test_one_port_unplugged_leaves_the_other_to_be_brought_down(enabled):
                     call()
 
 
-def test_overload_comes_as_a_sentence(emulated, enabled):
+def test_overload_is_reported_as_a_sentence(emulated, enabled):
     for kind in PROTOCOLS:
         with emulated(kind, 2, clock="steps") as (bus, servo_bus):
             limit = enabled(servo_bus)
@@ -192,7 +192,7 @@ def test_protocol_1_has_no_reboot(emulated):
         servo_bus.reboot("joint0")
 
 
-def test_a_limit_that_does_not_stick_is_reported(emulated, enabled):
+def test_a_limit_that_the_servo_does_not_take_is_reported(emulated, enabled):
     with emulated("sts", 2, clock="steps") as (bus, servo_bus):
         limit = enabled(servo_bus)
         bus.stick(1, "torque_limit", 1000)
@@ -244,7 +244,7 @@ def test_lost_writes_are_waited_for_as_long_as_lost_answers(emulated, enabled, k
         assert not servo_bus.refusing.any()
 
 
-def test_a_lost_packet_is_no_limit_refused(emulated, enabled):
+def test_a_lost_packet_does_not_count_as_a_refused_limit(emulated, enabled):
     with emulated("xm", 2, clock="steps") as (bus, servo_bus):
         limit = enabled(servo_bus)
         faults = []

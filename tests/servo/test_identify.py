@@ -122,7 +122,7 @@ def test_notes_list_the_changes_of_setup():
 
 
 @pytest.mark.parametrize("model", ["STS3215", "XM430-W350", "MX-64"])
-def test_an_adapter_that_holds_answers_back_is_measured_and_said(model):
+def test_the_latency_of_an_adapter_is_measured_and_reported(model):
     parts = [
         Device(model, id=i, return_delay_time=0, **({"operating_mode": 5} if "XM" in model else {}))
         for i in range(1, 4)
@@ -139,7 +139,7 @@ def test_an_adapter_that_holds_answers_back_is_measured_and_said(model):
         assert not any("later than the wire" in note for note in servo_bus.found[0].notes)
 
 
-def test_a_speed_unit_that_is_not_ours_is_noted():
+def test_an_unexpected_speed_unit_is_noted():
     with Emulator([Device("STS3215", id=1, phase=0b1000)], clock="steps") as bus:
         assert "speed caps are void" in opened(bus, PAN).found[0].notes[0]
 

@@ -54,7 +54,7 @@ def emulated(name):
     return EMULATED[TWINS.get(name, name)]
 
 
-def test_the_models_asked_for_are_there():
+def test_the_supported_models_are_in_the_table():
     assert {"EX-106+", "RX-64", "MX-28", "MX-64", "MX-106", "STS3215-7.4V", "STS3215-12V"} <= {*ALL}
     assert set(map(emulated, ALL)) == set(EMULATED.values())
 

@@ -168,7 +168,7 @@ def test_readings_decoded_with_the_request_are_those_decoded_after_it():
 
 
 @pytest.mark.skipif(transport.sys.platform == "win32", reason="readings are decoded in Python")
-def test_of_replies_that_are_not_all_valid_no_reading_is_stored():
+def test_no_reading_is_stored_unless_all_replies_are_valid():
     port = Answering()
     codec, family, block = codec_of_two()
     decoder = transport.Decoder(codec, [0, 1], 9.0, block)
@@ -197,7 +197,9 @@ def test_of_replies_that_are_not_all_valid_no_reading_is_stored():
 
 
 @pytest.mark.parametrize(("kind", "requests"), [("sts", 2), ("mx", 4), ("xm", 3)])
-def test_status_comes_with_readings_where_it_is_near(emulated, enabled, kind, requests):
+def test_status_is_read_with_the_position_where_registers_are_near(
+    emulated, enabled, kind, requests
+):
     n = 3
     with emulated(kind, n, clock="steps") as (bus, servo_bus):
         limit = enabled(servo_bus)

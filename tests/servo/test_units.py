@@ -41,7 +41,7 @@ def test_a_limit_is_never_more_than_asked_and_within_one_count(units, torque, ce
 
 
 @given(joints(), st.integers(0, 2047))
-def test_a_register_comes_back_as_itself(units, register):
+def test_registers_convert_to_joint_values_and_back(units, register):
     register = min(register, units.full)
     if units.torque(register) > 0.0:
         assert units.register(units.torque(register)) == register

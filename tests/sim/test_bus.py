@@ -22,14 +22,14 @@ def move_joints(plant, start, ticks, speed=0.5):
 
 
 @pytest.mark.parametrize("ticks", [0, 1, 3])
-def test_read_delay_is_exactly_so_many_ticks(arm, grasp, ticks):
+def test_read_delay_is_exact(arm, grasp, ticks):
     readings, true, _ = move_joints(Plant(arm, delay=(ticks, 0)), grasp, 30)
     np.testing.assert_array_equal(readings[ticks:], true[: 30 - ticks])
     np.testing.assert_array_equal(readings[:ticks], np.tile(grasp, (ticks, 1)))
 
 
 @pytest.mark.parametrize("ticks", [1, 3])
-def test_write_delay_is_exactly_so_many_ticks(arm, grasp, ticks):
+def test_write_delay_is_exact(arm, grasp, ticks):
     delayed, prompt = Plant(arm, delay=(0, ticks)), Plant(arm)
     for plant in (delayed, prompt):
         plant.reset(grasp)
@@ -69,19 +69,19 @@ def test_readings_and_goals_lie_on_counts(arm, grasp):
     np.testing.assert_allclose(goals, np.round(goals), atol=1e-9)
 
 
-def test_noise_has_the_asked_spread(arm, grasp):
+def test_noise_has_the_given_standard_deviation(arm, grasp):
     readings, true, _ = move_joints(Plant(arm, noise=1e-3), grasp, 300)
     assert np.std(readings - true) == pytest.approx(1e-3, rel=0.05)
 
 
-def test_losses_have_the_asked_rate_and_repeat_the_last(arm, grasp):
+def test_losses_have_the_given_rate_and_repeat_the_last_reading(arm, grasp):
     readings, _, freshness = move_joints(Plant(arm, read_loss=0.3, seed=4), grasp, 1000)
     assert 1.0 - freshness.mean() == pytest.approx(0.3, abs=0.05)
     losses = np.flatnonzero(~freshness[1:]) + 1
     np.testing.assert_array_equal(readings[losses], readings[losses - 1])
 
 
-def test_lost_writes_change_the_motion_and_all_lost_is_no_write(arm, grasp):
+def test_lost_writes_change_the_motion(arm, grasp):
     without_loss = move_joints(Plant(arm), grasp, 50)[1]
     with_loss = move_joints(Plant(arm, write_loss=0.5), grasp, 50)[1]
     assert np.abs(with_loss - without_loss).max() > 1e-4

@@ -156,7 +156,7 @@ def test_hands_can_be_changed_without_building_again(arm, grasp):
     assert plant.hands[0].peak_force == pytest.approx(5.0)
 
 
-def test_the_record_keeps_rows_and_refuses_odd_ones(arm, grasp):
+def test_the_record_keeps_rows_and_names_missing_signals(arm, grasp):
     plant = Plant(arm, scene=[DRAG_15N])
     plant.reset(grasp)
     record = Recorder(plant)

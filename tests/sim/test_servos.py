@@ -92,7 +92,7 @@ def test_energy_only_falls_when_nothing_drives(grasp):
     assert energy[-1] < 1e-3 * energy[0]
 
 
-def test_friction_holds_what_is_weaker(arm, grasp):
+def test_friction_holds_smaller_torques(arm, grasp):
     plant = Plant(arm)
     plant.reset(grasp)
     weak = 0.8 * plant.gains.friction

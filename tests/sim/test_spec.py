@@ -79,7 +79,7 @@ def test_an_unknown_arm_lists_those_there_are():
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_robots_that_people_own_build_and_hold(name):
+def test_real_robots_build_and_hold(name):
     path = ROBOTS / name / FILES[name]
     if not path.exists():
         pytest.skip(f"{path} is not here")

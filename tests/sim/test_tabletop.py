@@ -45,7 +45,7 @@ def test_other_links_than_the_tool_touch_it_too(name, q):
 
 
 @pytest.mark.parametrize("name", ["so101", "koch"])
-def test_what_only_turns_about_the_vertical_never_touches(name):
+def test_links_that_only_turn_about_the_vertical_never_touch(name):
     model = pliant.robots.load(name)
     cut = rigid_groups(model, "held")
     table = Tabletop(height=0.5)
@@ -97,6 +97,6 @@ def test_a_scene_without_a_table_is_as_it_was():
 
 
 @pytest.mark.parametrize("arguments", [{"height": np.nan}, {"friction": -1.0}])
-def test_numbers_that_make_no_table_are_refused(arguments):
+def test_invalid_numbers_of_a_table_are_refused(arguments):
     with pytest.raises(pliant.ConfigError, match="Tabletop needs"):
         Tabletop(**arguments)

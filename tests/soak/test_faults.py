@@ -22,7 +22,7 @@ POWERED = {
 }
 
 
-def test_there_are_twenty_and_more():
+def test_the_table_has_at_least_20_different_cases():
     assert len(FAULT_CASES) >= 20
     assert len(BY_TITLE) == len(FAULT_CASES)
 

@@ -25,7 +25,7 @@ def motion_file(tmp_path):
     "start",
     ["[NaN, NaN, NaN]", "[0.1, Infinity, 0]", "[1, 2]", "[1" + "0" * 400 + ", 0, 0]", '"abc"', "3"],
 )
-def test_a_place_of_start_that_is_none_is_refused(motion_file, start):
+def test_an_invalid_start_is_refused(motion_file, start):
     path, data = motion_file
     path.write_text(json.dumps({**data, "start": "HERE"}).replace('"HERE"', start))
     with pytest.raises(pliant.ConfigError, match=r"m\.json"):
@@ -40,7 +40,7 @@ def test_a_place_of_start_that_is_none_is_refused(motion_file, start):
         (None, "is no motion file: int too"),
     ],
 )
-def test_numbers_and_nests_that_are_too_large(motion_file, text, message, capsys):
+def test_numbers_and_nesting_that_are_too_large(motion_file, text, message, capsys):
     path, data = motion_file
     if text is None:
         data["samples"][3][1] = 10**400
@@ -53,7 +53,7 @@ def test_numbers_and_nests_that_are_too_large(motion_file, text, message, capsys
 
 
 @pytest.mark.parametrize("factor", [1e-300, 1e-6, 1e6, 1e300])
-def test_times_that_are_no_seconds_are_refused(motion_file, factor):
+def test_times_that_are_not_in_seconds_are_refused(motion_file, factor):
     path, data = motion_file
     for row in data["samples"]:
         row[0] *= factor
@@ -83,7 +83,7 @@ def test_a_motion_as_long_as_floats_is_refused():
         Motion(("a",), [-1.7e308, 1.7e308], [[0.0], [1.0]])
 
 
-def test_smoothing_names_what_it_cannot_do(motion_file):
+def test_smoothing_refuses_invalid_widths_and_rates(motion_file):
     motion = Motion.load(motion_file[0])
     for width in (np.inf, np.nan, -1.0):
         with pytest.raises(pliant.ConfigError, match="width must be at least 0 s"):
@@ -104,7 +104,7 @@ def test_smoothing_names_what_it_cannot_do(motion_file):
     ],
 )
 @pytest.mark.parametrize("folder", ["folder", "/proc", "none"])
-def test_a_file_that_cannot_be_written_is_said_before_torque_comes_on(
+def test_a_file_that_cannot_be_written_is_reported_before_torque_comes_on(
     motion_file, command, folder, capsys, monkeypatch
 ):
     pytest.importorskip("mcap", reason="logs need the extra log")

@@ -163,7 +163,7 @@ def test_trim_smooth_and_interpolate():
         ({"extra": {"gripper": [0.0]}}, "as many"),
     ],
 )
-def test_a_motion_that_is_none_is_refused(change, message):
+def test_an_invalid_motion_is_refused(change, message):
     with pytest.raises(pliant.ConfigError, match=message):
         replace(wave(), **change)
 
@@ -184,7 +184,7 @@ def test_a_motion_of_another_arm_is_refused(tmp_path):
         assert error.type is pliant.PliantError, "nothing is wrong with a configuration"
 
 
-def test_a_recording_in_which_nothing_was_led_is_no_error_of_a_configuration():
+def test_a_recording_without_motion_is_not_a_config_error():
     with bare_arm("so101", q=START, on_exit="leave_enabled") as arm:
         with pytest.raises(pliant.PliantError, match="nothing was recorded") as error:
             Teacher(arm).stop()
@@ -240,7 +240,7 @@ def test_bounds_are_kept_and_what_is_slower_stays():
         ("m.mcap", "\x89MCAP0\r\n", "m.mcap is no log of pliant: it ends before"),
     ],
 )
-def test_a_broken_file_is_named_with_what_is_wrong(tmp_path, capsys, name, text, message):
+def test_an_invalid_file_is_named_with_the_reason(tmp_path, capsys, name, text, message):
     pytest.importorskip("mcap")
     (tmp_path / name).write_bytes(text.encode("latin-1"))
     assert main(["replay", "so101", str(tmp_path / name), "--backend", "sim"]) == 2

@@ -60,7 +60,7 @@ def test_socket_of_another_origin_is_refused(gate, origin):
     assert refused(open_socket(gate, path, ("Origin", PAGE_ORIGIN), Origin=origin))
 
 
-def test_doubled_headers_are_no_error(gate):
+def test_repeated_headers_are_not_an_error(gate):
     header = ("Upgrade", "websocket")
     assert refused(open_socket(gate, f"/?token={gate.token}", ("Host", HOST), Origin=PAGE_ORIGIN))
     assert isinstance(
@@ -97,7 +97,7 @@ def test_two_pages_on_one_machine_are_open_at_once():
             connect(f"{page.replace('http', 'ws')}/?token={token}", origin=page)
 
 
-def test_bytes_that_are_no_request_are_not_an_error_on_the_terminal(capfd):
+def test_invalid_requests_print_no_error(capfd):
     with Link(port=8230) as link:
         port = int(link.address.partition("/#")[0].rpartition(":")[2])
         with socket.create_connection(("127.0.0.1", port)) as connection:
@@ -116,5 +116,5 @@ def test_tokens_are_long_and_differ():
     ("host", "local"),
     [("127.0.0.1", True), ("::1", True), ("localhost", True), ("0.0.0.0", False), ("robot", False)],
 )
-def test_loopback_is_told_from_the_network(host, local):
+def test_loopback_is_distinguished_from_the_network(host, local):
     assert is_loopback(host) is local

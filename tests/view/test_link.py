@@ -155,7 +155,7 @@ def test_death_of_the_page_is_noticed(link):
         link.send(np.zeros(3))
 
 
-def test_address_that_is_not_ours_is_explained():
+def test_an_address_of_another_machine_is_explained():
     with pytest.raises(PliantError, match=r"cannot listen on 203\.0\.113\.1:8210"):
         Link("203.0.113.1", 8210)
 

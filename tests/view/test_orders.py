@@ -127,7 +127,7 @@ def test_target_out_of_reach_is_refused(axis, value):
     "matrix",
     [np.eye(3), np.zeros((4, 4)), 2.0 * np.eye(4), np.diag((1.0, 1.0, -1.0, 1.0)), "there", None],
 )
-def test_target_that_is_no_pose_is_refused(matrix):
+def test_target_that_is_not_a_pose_is_refused(matrix):
     with pytest.raises(ConfigError, match="target"):
         messages.check_target(messages.Target(matrix), MODEL)
 

@@ -196,7 +196,7 @@ def test_scale_holds_thresholds_and_does_not_flicker(page):
     assert scale(0.0, grown)["mm"] < grown["mm"]
 
 
-def test_text_from_errors_is_no_markup(page):
+def test_text_from_errors_is_escaped(page):
     assert "<script>" not in html.messages("<script>alert(1)</script>", wrong=True)
     assert "<b>" not in html.summary(["<b>"])
 

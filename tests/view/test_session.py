@@ -119,7 +119,7 @@ def test_grab_pulls_a_point_of_the_arm_and_lets_go(script):
     assert link.running[-1].hand_force is None
 
 
-def test_grabbing_what_is_no_part_of_the_arm_does_nothing(script):
+def test_grabbing_outside_the_arm_does_nothing(script):
     grab = messages.Grab(0, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0))
     door = messages.Grab(10_000, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0))
     _, link = run_session(script, {5: [grab, door, messages.Grab(3, None, (1.0, 0, 0))], 40: END})
@@ -138,7 +138,7 @@ def test_grabbing_what_is_no_part_of_the_arm_does_nothing(script):
         (messages.Law(1, "gravity"), "gravity"),
     ],
 )
-def test_bad_settings_are_said_and_the_old_ones_stay(script, message, error_text):
+def test_invalid_settings_are_reported_and_the_old_ones_kept(script, message, error_text):
     _, link = run_session(script, {4: message, 12: END})
     before, after = link.running[0], link.running[-1]
     count, text, is_error = after.notice
@@ -157,7 +157,7 @@ def moved(pose, *offset):
 
 
 @pytest.mark.parametrize("far", [(0.0, 0.0, 150.0), (50.0, 0.0, 0.0), (0.0, np.nan, 0.0)])
-def test_target_out_of_reach_is_said_and_the_old_one_stays(script, far):
+def test_target_out_of_reach_is_reported_and_the_old_one_kept(script, far):
     link = script({})
     session = Session(Simulated("so101", paced=False), link)
     reachable = (0.0, 0.0, -0.02)
@@ -209,7 +209,7 @@ def test_message_of_a_rejected_setting_expires(script, monkeypatch):
     assert link.running[-1].notice == (2, "", False)
 
 
-def test_stop_is_not_undone_by_what_comes_with_it(script):
+def test_stop_is_not_undone_by_messages_of_the_same_tick(script):
     together = [messages.Stop(), messages.Scene("door"), messages.Start(), messages.Play()]
     _, link = run_session(script, {21: together})
     assert len(link.infos) == 1
@@ -325,7 +325,7 @@ def test_arm_is_lowered_when_the_page_is_gone(script):
     assert session._robot.plant.tool[2, 3] < session.home[2, 3] - 0.2
 
 
-def test_trouble_on_the_bus_is_said_and_torque_can_come_back(script):
+def test_a_bus_error_is_reported_and_torque_can_come_on_again(script):
     link = script({40: messages.Start(), 70: END})
     session = Session(Simulated("arm7", paced=False), link)
     inner = link.messages
