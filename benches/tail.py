@@ -60,28 +60,28 @@ def servos() -> pliant.Servos:
 
 def cases(model: pliant.Model) -> list[Case]:
     """Return all cases for an arm; the first one has ordinary poses."""
-    turns = 2.0 * np.pi * np.arange(STATES)[:, None] / STATES + 0.9 * np.arange(model.n)
+    phases = 2.0 * np.pi * np.arange(STATES)[:, None] / STATES + 0.9 * np.arange(model.n)
     middle, half = 0.5 * (model.lower + model.upper), 0.5 * (model.upper - model.lower)
-    ordinary = middle + 0.4 * half * np.sin(turns)
+    ordinary = middle + 0.4 * half * np.sin(phases)
     stretched = ordinary.copy()
-    stretched[:, 3:6] = 1e-3 * np.sin(turns[:, 3:6])  # elbow and wrist straight
-    limits = np.where(np.sin(turns) > 0.0, model.upper, model.lower) - 1e-9 * np.sin(turns)
-    tiny = 1e-310 * np.sin(turns)
-    far = np.eye(4)
-    far[:3, 3] = 1.0
+    stretched[:, 3:6] = 1e-3 * np.sin(phases[:, 3:6])  # elbow and wrist straight
+    limits = np.where(np.sin(phases) > 0.0, model.upper, model.lower) - 1e-9 * np.sin(phases)
+    tiny = 1e-310 * np.sin(phases)
+    far_target = np.eye(4)
+    far_target[:3, 3] = 1.0
 
     def toward(q: Array, shift: Array) -> list[tuple[Array, Array]]:
         return [(a, model.forward_kinematics(b)) for a, b in zip(q, q + shift, strict=True)]
 
-    near = 0.02 * np.cos(turns)
+    offsets = 0.02 * np.cos(phases)
     return [
-        Case("ordinary poses", toward(ordinary, near)),
-        Case("near singular (elbow and wrist straight)", toward(stretched, near)),
-        Case("joints at their limits", toward(limits, near)),
-        Case("every limit saturated (target far away)", [(q, far) for q in ordinary]),
-        Case("where it was started", toward(ordinary[:1].repeat(STATES, axis=0), near[:1])),
-        Case("denormal positions", toward(tiny, np.zeros_like(near))),
-        Case("at rest on the target (denormal deviations)", toward(ordinary, 1e-310 * near)),
+        Case("ordinary poses", toward(ordinary, offsets)),
+        Case("near singular (elbow and wrist straight)", toward(stretched, offsets)),
+        Case("joints at their limits", toward(limits, offsets)),
+        Case("every limit saturated (target far away)", [(q, far_target) for q in ordinary]),
+        Case("where it was started", toward(ordinary[:1].repeat(STATES, axis=0), offsets[:1])),
+        Case("denormal positions", toward(tiny, np.zeros_like(offsets))),
+        Case("at rest on the target (denormal deviations)", toward(ordinary, 1e-310 * offsets)),
     ]
 
 

@@ -18,14 +18,14 @@ model = pliant.robots.arm7()
 
 # The picture's other row: the paper's law, all axes stiff, full torque of every servo.
 stiff = {"all": pliant.Axis(hold=1000.0)}
-ways = {
+variants = {
     "y and yaw compliant": pliant.Settings.door(),
     "all axes stiff": pliant.Settings.paper(
         axes=stiff, gravity=True, null_space=pliant.NullSpace(gain=1.0)
     ),
 }
 
-for name, settings in ways.items():
+for name, settings in variants.items():
     door = pliant.sim.Door(hinge=(0.0, -0.30, 0.0), mass=3.0, grip="rigid")
     arm = pliant.sim.Plant(model, scene=[door])
     arm.reset(START)

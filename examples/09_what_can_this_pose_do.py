@@ -38,16 +38,16 @@ proposed: dict[str, float] = {}
 for issue in check.issues:
     if issue.required and issue.setting and issue.value is not None:
         proposed[issue.setting] = min(issue.value, proposed.get(issue.setting, np.inf))
-better = pliant.Settings(
+changed = pliant.Settings(
     axes={
         "y": pliant.Axis(soft=0.05, firm=proposed["axes.y.firm"]),
         "z": pliant.Axis(hold=proposed["axes.z.hold"]),
     }
 ).raise_soft(model, path)  # raises soft to three times the friction
-print(f"\nproposed: y {better.axes['y']}, z {better.axes['z']}")
-print(pliant.feasibility.check_path(model, better, path))
+print(f"\nproposed: y {changed.axes['y']}, z {changed.axes['z']}")
+print(pliant.feasibility.check_path(model, changed, path))
 
 # 4. A tool pose works too.
-away = model.forward_kinematics(q)
-away[0, 3] += 1.0  # [m]
-print(f"\none metre ahead: {pliant.feasibility.check_path(model, settings, away, q0=q)}")
+far_target = model.forward_kinematics(q)
+far_target[0, 3] += 1.0  # [m]
+print(f"\none metre ahead: {pliant.feasibility.check_path(model, settings, far_target, q0=q)}")

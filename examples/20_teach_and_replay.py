@@ -17,7 +17,7 @@ import pliant
 import pliant.sim
 import pliant.teach
 
-HELD = 2.0 if os.environ.get("PLIANT_SHORT") else 5.0  # [s]
+HOLD_TIME = 2.0 if os.environ.get("PLIANT_SHORT") else 5.0  # [s]
 START = [0.0, -0.3, 0.3, 0.9, 0.0]  # [rad]
 folder = Path(tempfile.mkdtemp())
 print(f"files: {folder}")
@@ -40,7 +40,7 @@ motion.save(folder / "wave.json")
 # Replay: y gives way to 2 N; a hand holds the tool from the start, then lets go.
 motion = pliant.teach.Motion.load(folder / "wave.json")
 settings = pliant.Settings(task="xyz", axes={"y": pliant.Axis(soft=2.0, profile="constant")})
-wall = grip("y", 0.0, 0.0, 0.0, 7.0 + HELD)
+wall = grip("y", 0.0, 0.0, 0.0, 7.0 + HOLD_TIME)
 
 with contextlib.ExitStack() as stack:
     arm = stack.enter_context(pliant.connect("so101", backend="sim", q=START, scene=[wall]))

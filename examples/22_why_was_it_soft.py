@@ -42,10 +42,10 @@ with pliant.Arm(plant.model, pliant.sim.SimDrive(plant)) as arm:
 
 log = pliant.log.read(folder / "run.mcap")
 # Repeat the controller beside a ContactEstimator: the log has no force.
-seen = forces.estimate_forces(log)
+estimates = forces.estimate_forces(log)
 for k in range(3):
-    force = float(np.abs(seen.force[:, k]).max())
-    print(findings.sentence(log, seen, k), f"Felt: {force:.0f} N at most.")
+    force = float(np.abs(estimates.force[:, k]).max())
+    print(findings.sentence(log, estimates, k), f"Felt: {force:.0f} N at most.")
 for span in findings.spans(log)[:3]:
     took = span.end - span.start
     print(f"{span.joint} at its bound from {span.start:.2f} s for {took:.2f} s, by {span.axis}")

@@ -161,13 +161,13 @@ def jump(law: pliant.Settings, *, conditions: Conditions = NOMINAL) -> JumpResul
         conditions: Control rate, delays, true servo parameters, assumptions of the controller.
     """
     start = tool(VERTICAL)
-    there = displaced(displaced(start, "x", 0.10), "y", 0.10)
+    target = displaced(displaced(start, "x", 0.10), "y", 0.10)
     plant, controller = conditions.build(), conditions.controller(law)
-    trace = run(plant, controller, lambda t: there if t >= 1.0 else start, 5.0, q=VERTICAL)
-    off = np.linalg.norm(trace.error[:, :3], axis=1)
+    trace = run(plant, controller, lambda t: target if t >= 1.0 else start, 5.0, q=VERTICAL)
+    distance = np.linalg.norm(trace.error[:, :3], axis=1)
     return JumpResult(
-        after=float(trace.t[np.flatnonzero(off > 3e-3)[-1]]) - 1.0,
-        left=float(off[-1]),
+        after=float(trace.t[np.flatnonzero(distance > 3e-3)[-1]]) - 1.0,
+        left=float(distance[-1]),
         speed=metrics.speed(trace, 4.0, 5.0),
         trace=trace,
     )

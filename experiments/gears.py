@@ -251,11 +251,11 @@ class Remedied:
 
     def friction(self) -> Array:
         """Return the assumed dry friction (n,) [N·m] at speed and load of the last step."""
-        seen = self.diagnostics
+        diagnostics = self.diagnostics
         constant, stribeck, load, load_stribeck = self._dry
-        x = np.abs(seen.velocity) / self._speed
+        x = np.abs(diagnostics.velocity) / self._speed
         share = 1.0 / (1.0 + x + x**2)
-        torque = np.abs(seen.gravity + seen.task_jacobian.T @ seen.wrench)
+        torque = np.abs(diagnostics.gravity + diagnostics.task_jacobian.T @ diagnostics.wrench)
         torque = np.minimum(torque, self._torque)
         out: Array = constant + share * stribeck + (load + share * load_stribeck) * torque
         return out
@@ -273,20 +273,20 @@ class Remedied:
 
     def _extra(self, target: Array) -> Array:
         """Return the torque (n,) [N·m] that the remedy adds to the command."""
-        seen, remedy = self.diagnostics, self._remedy
-        measured = np.asarray(seen.velocity)
+        diagnostics, remedy = self.diagnostics, self._remedy
+        measured = np.asarray(diagnostics.velocity)
         toward = measured.copy()
-        jacobian = np.asarray(seen.task_jacobian)
+        jacobian = np.asarray(diagnostics.task_jacobian)
         compliance = jacobian / self._kp @ jacobian.T + 1e-9 * np.eye(len(jacobian))
         if remedy.by_tool:
             toward = jacobian.T @ np.linalg.solve(compliance, jacobian @ measured) / self._kp
         if remedy.by_reference and self._before is not None:
-            moved = pliant.functional.pose_error(self._before, target)[: len(jacobian)]
-            stiff = (1.0 - np.asarray(seen.softness)) * moved / PERIOD
+            change = pliant.functional.pose_error(self._before, target)[: len(jacobian)]
+            stiff = (1.0 - np.asarray(diagnostics.softness)) * change / PERIOD
             toward = toward + jacobian.T @ np.linalg.solve(compliance, stiff) / self._kp
         dry = self.friction()
         v_0, share = remedy.saturation, self._settings.compensation.friction
-        extra = seen.gamma * share * dry * (np.tanh(toward / v_0) - np.tanh(measured / v_0))
+        extra = diagnostics.gamma * share * dry * (np.tanh(toward / v_0) - np.tanh(measured / v_0))
         if remedy.dither > 0.0:
             sign = 1.0 if self._tick // remedy.ticks % 2 else -1.0
             extra = extra + sign * remedy.dither * dry / (1.0 + (measured / 0.05) ** 2)
@@ -319,7 +319,7 @@ def learned(case: Case) -> Array:
     damping = np.asarray(table.damping) + np.asarray(table.kv)
     if table.limit_type == "pwm":
         damping = damping + np.asarray(table.max_torque) / np.asarray(table.no_load_speed)
-    up, down, travel = np.zeros(arm.n), np.zeros(arm.n), np.zeros(arm.n)
+    numerator, denominator, travel = np.zeros(arm.n), np.zeros(arm.n), np.zeros(arm.n)
     goals: list[Array] = [bench.start] * (2 * case.delay + 1)
     for _, _, command in closed_loop(plant, controller, circle, LESSON):
         goals.append(command.goal)
@@ -327,15 +327,15 @@ def learned(case: Case) -> Array:
         # middle of that period.
         v = np.asarray(controller.diagnostics.velocity)
         q = controller.reading - 0.5 * PERIOD * v
-        apparent = np.asarray(table.kp) * (goals[-2 - 2 * case.delay] - q)
-        apparent = apparent - arm.gravity(q) - damping * v
+        friction_torque = np.asarray(table.kp) * (goals[-2 - 2 * case.delay] - q)
+        friction_torque = friction_torque - arm.gravity(q) - damping * v
         assumed = controller.friction() * np.sign(v)
         teaches = np.abs(v) > TEACHING
-        up += np.where(teaches, apparent * assumed, 0.0)
-        down += np.where(teaches, assumed**2, 0.0)
+        numerator += np.where(teaches, friction_torque * assumed, 0.0)
+        denominator += np.where(teaches, assumed**2, 0.0)
         travel += np.where(teaches, np.abs(v) * PERIOD, 0.0)
     known = travel > TRAVEL
-    ratio = np.where(known, up / np.where(known, down, 1.0), 1.0)
+    ratio = np.where(known, numerator / np.where(known, denominator, 1.0), 1.0)
     return np.clip(ratio, *LEARNED)
 
 
@@ -366,7 +366,7 @@ def measure(case: Case, remedy: str, minutes: float) -> Result:
     """Return the result of a remedy in one case; `minutes` is the time at rest [min]."""
     force = drag(case, REMEDIES[remedy])
     handle, angle = open_door(case, REMEDIES[remedy])
-    reversals, heat, quiet, rested = rest(case, REMEDIES[remedy], minutes)
+    reversals, heat, quiet, time_limit = rest(case, REMEDIES[remedy], minutes)
     return Result(
         drag=force,
         door=handle,
@@ -374,7 +374,7 @@ def measure(case: Case, remedy: str, minutes: float) -> Result:
         reversals=reversals,
         heat=heat,
         quiet=quiet,
-        rested=rested,
+        rested=time_limit,
     )
 
 
@@ -432,13 +432,13 @@ def rest(case: Case, remedy: Remedy, minutes: float) -> tuple[float, float, floa
         moves = len(speeds) * PERIOD >= WINDOW and metrics.rms(np.array(speeds)) > STILL
         if drift > STAYS or moves:
             break
-    observed = np.array(torques)
+    samples = np.array(torques)
     band = REVERSAL * np.asarray(servos(case.arm).max_torque)
     count = np.mean(
-        [_reversals(column, size) for column, size in zip(observed.T, band, strict=True)]
+        [_reversals(column, size) for column, size in zip(samples.T, band, strict=True)]
     )
-    heat = float(np.mean(np.sum(observed**2, axis=1)) / np.sum(arm.gravity(bench.start) ** 2))
-    return float(count) / (len(observed) * PERIOD), heat, quiet / 60.0, seconds / 60.0
+    heat = float(np.mean(np.sum(samples**2, axis=1)) / np.sum(arm.gravity(bench.start) ** 2))
+    return float(count) / (len(samples) * PERIOD), heat, quiet / 60.0, seconds / 60.0
 
 
 def _reversals(values: Array, band: float) -> int:
@@ -482,12 +482,12 @@ def bound(case: Case) -> Bound:
     row = "xyz".index(str(bench.hand.axis))
     lever = jacobian[row] + np.cross(jacobian[3:].T, point)[:, row]
     forces = np.linspace(0.0, 50.0, 5001)
-    pushed, motor = forces[:, None] * lever, arm.gravity(bench.start)
+    push_torque, motor = forces[:, None] * lever, arm.gravity(bench.start)
     if case.friction is None:
-        still = np.broadcast_to(np.asarray(servos(case.arm).friction), pushed.shape)
+        static_friction = np.broadcast_to(np.asarray(servos(case.arm).friction), push_torque.shape)
     else:
-        still = case.true_friction(case.friction).largest(motor, pushed - motor, 0.0)
-    moves = np.abs(pushed) > still
+        static_friction = case.true_friction(case.friction).largest(motor, push_torque - motor, 0.0)
+    moves = np.abs(push_torque) > static_friction
     begin = int(np.argmax(moves.any(axis=1)))
     first = int(np.argmax(moves[begin]))
     stiffness = float(np.broadcast_to(np.asarray(servos(case.arm).kp), (arm.n,))[first])
@@ -508,11 +508,11 @@ def text(rows: Mapping[Row, Sequence[Result]]) -> str:
             " / ".join(f"{getattr(result, name):.{digits}f}" for result in results)
             for name, digits in (("drag", 1), ("door", 1), ("angle", 0))
         ]
-        quiet, rested = min((result.quiet, result.rested) for result in results)
+        quiet, time_limit = min((result.quiet, result.rested) for result in results)
         price = (
             f"{max(result.reversals for result in results):.0f}",
             f"{max(result.heat for result in results):.2f}",
-            f"{'' if quiet < rested - 1e-9 else '≥ '}{quiet:.2g}",
+            f"{'' if quiet < time_limit - 1e-9 else '≥ '}{quiet:.2g}",
         )
         lines.append((*row, *figures, *price))
     return program.markdown((*columns, "reversals [1/s]", "heat [1]", "quiet [min]"), lines)
@@ -548,16 +548,16 @@ def main(
                 keys = rows.setdefault((label, name, delay), [])
                 for factor in factors:
                     keys.append(f"{label}|{name}|{delay}|{factor}")
-                    under = replace(case, friction=factor)
-                    work.append(Job(keys[-1], measure, (under, key, minutes)))
-    found = run_by_key(work, jobs, "gears")
-    print(text({row: [found[key] for key in keys] for row, keys in rows.items()}))
+                    scaled_case = replace(case, friction=factor)
+                    work.append(Job(keys[-1], measure, (scaled_case, key, minutes)))
+    results = run_by_key(work, jobs, "gears")
+    print(text({row: [results[key] for key in keys] for row, keys in rows.items()}))
     for name in arm or tuple(BENCHES):
         for kind, friction in (("real", 1.0), ("ideal", None)):
-            least = bound(Case(arm=name, friction=friction, encoder_step=step))
+            smallest = bound(Case(arm=name, friction=friction, encoder_step=step))
             print(
-                f"{name}, {kind} gears: a joint moves at {least.moves:.2f} N of the hand, and "
-                f"{least.counts:.2f} N more turn it by a count"
+                f"{name}, {kind} gears: a joint moves at {smallest.moves:.2f} N of the hand, and "
+                f"{smallest.counts:.2f} N more turn it by a count"
             )
 
 

@@ -45,8 +45,8 @@ def dragged(law: disturbances.Law, hand: Drag) -> Measure:
     """
 
     def measure(conditions: Conditions) -> Figures:
-        seen = disturbances.drag(law, hand, conditions=conditions)
-        return {"force [N]": seen.force, "drift [mm]": 1e3 * seen.drift}
+        result = disturbances.drag(law, hand, conditions=conditions)
+        return {"force [N]": result.force, "drift [mm]": 1e3 * result.drift}
 
     return measure
 
@@ -57,9 +57,13 @@ def capped(conditions: Conditions) -> Figures:
     Return the force of the resting hand, the drift of the other positions, and the distance of y
     from its start 4 s after the release.
     """
-    seen = disturbances.drag(controllers.cap(eta=0.0), DRAG_80N, conditions=conditions)
-    left = 1e3 * seen.end
-    return {"held [N]": abs(seen.held), "drift [mm]": 1e3 * seen.drift, "left after 4 s [mm]": left}
+    result = disturbances.drag(controllers.cap(eta=0.0), DRAG_80N, conditions=conditions)
+    error = 1e3 * result.end
+    return {
+        "held [N]": abs(result.held),
+        "drift [mm]": 1e3 * result.drift,
+        "left after 4 s [mm]": error,
+    }
 
 
 def kept(conditions: Conditions) -> Figures:
@@ -69,14 +73,14 @@ def kept(conditions: Conditions) -> Figures:
     """
     poses = 200 if conditions == NOMINAL else 20
     runs = [
-        (case, cap_accuracy.keep(case, guided=guided, conditions=conditions).kept)
+        (case, cap_accuracy.keep(case, guided=is_guided, conditions=conditions).kept)
         for case in cap_accuracy.cases(poses)
-        for guided in (False, True)
+        for is_guided in (False, True)
     ]
-    clear = [kept for case, kept in runs if case.clear]
+    clear_kept = [is_kept for case, is_kept in runs if case.clear]
     return {
-        "kept, all poses [%]": 100.0 * float(np.mean([kept for _, kept in runs])),
-        "kept, joints clear of stops [%]": 100.0 * float(np.mean(clear)),
+        "kept, all poses [%]": 100.0 * float(np.mean([is_kept for _, is_kept in runs])),
+        "kept, joints clear of stops [%]": 100.0 * float(np.mean(clear_kept)),
     }
 
 
@@ -85,11 +89,11 @@ def yaw(conditions: Conditions) -> Figures:
 
     Return its largest torque, the largest displacement of the tool, and how far yaw moves back.
     """
-    seen = disturbances.drag(controllers.cap(soft="yaw"), TWIST_3NM, conditions=conditions)
+    result = disturbances.drag(controllers.cap(soft="yaw"), TWIST_3NM, conditions=conditions)
     return {
-        "torque [N·m]": seen.force,
-        "position [mm]": 1e3 * seen.position,
-        "leaves its place [rad]": seen.stays,
+        "torque [N·m]": result.force,
+        "position [mm]": 1e3 * result.position,
+        "leaves its place [rad]": result.stays,
     }
 
 
@@ -100,10 +104,10 @@ def sinusoids(law: Callable[..., disturbances.Law]) -> Measure:
     """
 
     def measure(conditions: Conditions) -> Figures:
-        seen = [tracking.track(law(soft=a, eta=0.0), a, conditions=conditions) for a in AXES]
+        result = [tracking.track(law(soft=a, eta=0.0), a, conditions=conditions) for a in AXES]
         return {
-            "rms / amplitude": max(one.share for one in seen),
-            "other positions [mm]": 1e3 * max(one.position for one in seen),
+            "rms / amplitude": max(result_.share for result_ in result),
+            "other positions [mm]": 1e3 * max(result_.position for result_ in result),
         }
 
     return measure
@@ -116,8 +120,8 @@ def door(scene: str, law: Callable[..., disturbances.Law] = controllers.cap) -> 
     """
 
     def measure(conditions: Conditions) -> Figures:
-        seen = doors.open_door(law, scene, "rigid", conditions=conditions)
-        return {"angle [deg]": seen.angle, "force [N]": seen.force}
+        result = doors.open_door(law, scene, "rigid", conditions=conditions)
+        return {"angle [deg]": result.angle, "force [N]": result.force}
 
     return measure
 
@@ -128,15 +132,17 @@ def bumps(conditions: Conditions) -> Figures:
     They are the largest excess of the impact force over its bound, and the largest force later than
     0.3 s after the contact.
     """
-    seen = [
-        disturbances.bump(controllers.cap, way, speed=speed, stiffness=k, conditions=conditions)
-        for way in disturbances.DIRECTIONS
+    results = [
+        disturbances.bump(
+            controllers.cap, direction, speed=speed, stiffness=k, conditions=conditions
+        )
+        for direction in disturbances.DIRECTIONS
         for k in disturbances.STIFFNESSES
         for speed in disturbances.SPEEDS
     ]
     return {
-        "peak beyond cap + v√(km) [N]": max(one.peak - one.allowed for one in seen),
-        "after 0.3 s [N]": max(one.later for one in seen),
+        "peak beyond cap + v√(km) [N]": max(result.peak - result.allowed for result in results),
+        "after 0.3 s [N]": max(result.later for result in results),
     }
 
 
@@ -475,29 +481,30 @@ def rates_text(only: str = "") -> str:
 
     Its columns are the conditions of `rate_conditions`.
     """
-    under = rate_conditions()
+    conditions = rate_conditions()
     names = [
-        f"{one.rate:g} Hz{', 1+1' if one.delay[0] else ''}, × {one.believed:g}" for one in under
+        f"{condition.rate:g} Hz{', 1+1' if condition.delay[0] else ''}, × {condition.believed:g}"
+        for condition in conditions
     ]
     measures = {scene: measure for scene, measure in RATE_SCENES.items() if only in scene}
-    return comparison(measures, dict(zip(names, under, strict=True)))
+    return comparison(measures, dict(zip(names, conditions, strict=True)))
 
 
-def comparison(measures: Mapping[str, Measure], under: Mapping[str, Conditions]) -> str:
+def comparison(measures: Mapping[str, Measure], conditions: Mapping[str, Conditions]) -> str:
     """Measure every experiment under all conditions; return a Markdown table.
 
     Args:
         measures: Measuring functions by the name of the experiment.
-        under: Conditions by the heading of their column.
+        conditions: Conditions by the heading of their column.
 
     Returns:
         Table with one row for each number of an experiment.
     """
     rows: list[tuple[str, ...]] = []
     for scene, measure in measures.items():
-        found = [measure(one) for one in under.values()]
-        rows += [(scene, name, *(f"{one[name]:.3g}" for one in found)) for name in found[0]]
-    return program.markdown(("scene", "figure", *under), rows)
+        figures = [measure(item) for item in conditions.values()]
+        rows += [(scene, name, *(f"{item[name]:.3g}" for item in figures)) for name in figures[0]]
+    return program.markdown(("scene", "figure", *conditions), rows)
 
 
 def main(only: Annotated[str, tyro.conf.Positional] = "", creep: float = 1.0) -> None:

@@ -130,7 +130,7 @@ class Bench:
         report = self._work(pose, leans=leans)
         row, kind = AXES.index(axis), AXES.index(axis) // 3
         side = int(sign > 0.0)
-        felt, at = self.drag(row, sign * DRAG_DISTANCE[kind])
+        force, distance = self.drag(row, sign * DRAG_DISTANCE[kind])
         return HostLossPush(
             arm=self.arm.name,
             pose=pose,
@@ -138,8 +138,8 @@ class Bench:
             sign=sign,
             leaned=leans,
             said=report.axes[axis].host_loss_force[side],
-            felt=felt,
-            at=at,
+            felt=force,
+            at=distance,
             hand=self.hand[kind],
         )
 
@@ -149,7 +149,7 @@ class Bench:
         With `leans`, a hand pushes the soft axis meanwhile.
         """
         rng = np.random.default_rng((pose, 7))
-        way, death, lean = (
+        motion, death, push_distance = (
             rng.standard_normal(3),
             rng.uniform(*MOTION_TIME),
             rng.choice((-PUSH_DISTANCE, PUSH_DISTANCE)),
@@ -163,20 +163,20 @@ class Bench:
         target = plant.tool
 
         def work(now: float, plant: Plant) -> None:
-            target[:3, 3] += SPEED * plant.period * way / np.linalg.norm(way)
-            grip.move(soft, lean / death if leans else 0.0)
+            target[:3, 3] += SPEED * plant.period * motion / np.linalg.norm(motion)
+            grip.move(soft, push_distance / death if leans else 0.0)
 
         goal = target if any(row > 2 for row in self.arm.rows) else target[:3, 3]
         for _ in closed_loop(plant, controller, goal, death, on_tick=work):
             pass
         return controller.report()
 
-    def drag(self, row: int, way: float) -> tuple[float, float]:
+    def drag(self, row: int, distance: float) -> tuple[float, float]:
         """Drag the tool along one axis, with constant goals and torque limits of the servos.
 
         Args:
             row: Index of the axis among x, y, z, roll, pitch, yaw.
-            way: Signed distance [m or rad].
+            distance: Signed distance [m or rad].
 
         Returns:
             Largest force of the hand [N or N·m], and the distance by which the tool had moved when
@@ -187,18 +187,18 @@ class Bench:
         plant.advance(round(WAIT_AFTER_LOSS / plant.dt))
         grip.place(plant)
         grip.hold([row])
-        most, at, gone, start = -np.inf, 0.0, 0.0, plant.tool
-        while abs(gone) < abs(way) and most < self.hand[row // 3]:
-            # The hand's spring stretches, so the hand moves on until the tool has covered `way`.
-            grip.move(row, way / DRAG_TIME)
+        largest, displacement, moved, start = -np.inf, 0.0, 0.0, plant.tool
+        while abs(moved) < abs(distance) and largest < self.hand[row // 3]:
+            # The spring of the hand stretches: move until the tool has covered `distance`.
+            grip.move(row, distance / DRAG_TIME)
             plant.advance()
-            gone = float(pliant.functional.pose_error(start, plant.tool)[row])
-            force = float(np.sign(way)) * grip.force(row)
-            if force > most:
-                most, at = force, abs(gone)
+            moved = float(pliant.functional.pose_error(start, plant.tool)[row])
+            force = float(np.sign(distance)) * grip.force(row)
+            if force > largest:
+                largest, displacement = force, abs(moved)
             if plant.time > 4.0 * DRAG_TIME:
                 break
-        return most, at
+        return largest, displacement
 
 
 @lru_cache(maxsize=2)
@@ -218,25 +218,25 @@ class Job:
         return _bench(self.arm).pushes(self.pose)
 
 
-def text(found: Sequence[HostLossPush]) -> str:
+def text(pushes: Sequence[HostLossPush]) -> str:
     """Return a Markdown table per arm, with separate rows for translations and rotations."""
     columns = ("arm", "pushes", "walled", "felt/said: 5th %", "median", "95th %", "most")
     rows = []
-    for arm in dict.fromkeys(one.arm for one in found):
+    for arm in dict.fromkeys(push.arm for push in pushes):
         for kind, unit in enumerate(("N", "N·m")):
-            every = [m for m in found if m.arm == arm and AXES.index(m.axis) // 3 == kind]
-            if not every:
+            selected = [m for m in pushes if m.arm == arm and AXES.index(m.axis) // 3 == kind]
+            if not selected:
                 continue
-            seen = [m for m in every if not m.walled]
-            low, middle, high = np.quantile([m.ratio for m in seen], (0.05, 0.5, 0.95))
-            above, walled = [m.above for m in seen], len(every) - len(seen)
-            ratios = (low, middle, high, max(m.ratio for m in seen))
-            beyond = (np.quantile(above, 0.95), max(above))
-            cells = [*(f"{one:.2f}" for one in ratios), *(f"{one:+.2f}" for one in beyond)]
-            allowed = f"{100 * np.mean([m.allowed for m in seen]):.1f}"
-            rows.append((f"{arm}, {unit}", len(every), walled, *cells, allowed))
-    more = ("felt − said: 95th %", "most", "within the allowance %")
-    return program.markdown((*columns, *more), rows)
+            not_walled = [m for m in selected if not m.walled]
+            low, middle, high = np.quantile([m.ratio for m in not_walled], (0.05, 0.5, 0.95))
+            above, walled = [m.above for m in not_walled], len(selected) - len(not_walled)
+            ratios = (low, middle, high, max(m.ratio for m in not_walled))
+            excess = (np.quantile(above, 0.95), max(above))
+            cells = [*(f"{push:.2f}" for push in ratios), *(f"{push:+.2f}" for push in excess)]
+            share = f"{100 * np.mean([m.allowed for m in not_walled]):.1f}"
+            rows.append((f"{arm}, {unit}", len(selected), walled, *cells, share))
+    last_columns = ("felt − said: 95th %", "most", "within the allowance %")
+    return program.markdown((*columns, *last_columns), rows)
 
 
 def main(
@@ -255,10 +255,10 @@ def main(
         for name in arm or robots.names()
         for pose in range(poses if name == "arm7" else -(-poses * OTHER_POSES // POSES))
     ]
-    found = [push for one in run_jobs(work, jobs, "host loss") for push in one]
-    print(text(found))
+    pushes = [push for result in run_jobs(work, jobs, "host loss") for push in result]
+    print(text(pushes))
     if out is not None:
-        program.write_results(out, {"pushes": [asdict(push) for push in found]})
+        program.write_results(out, {"pushes": [asdict(push) for push in pushes]})
 
 
 if __name__ == "__main__":

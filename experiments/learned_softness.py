@@ -52,11 +52,11 @@ FEATURES = 4
 
 def features(observation: dict[str, Array], first: dict[str, Array]) -> Array:
     """Return the features (N, FEATURES): 1, turn about z since the start, felt force along x, y."""
-    now, start = observation["tool"], first["tool"]
-    (a, b, _, c, d, _), (e, f, _, g, h, _) = start[:, 3:].T, now[:, 3:].T
-    turn = np.arctan2(a * f - b * e + c * h - d * g, a * e + b * f + c * g + d * h)
+    current, start = observation["tool"], first["tool"]
+    (a, b, _, c, d, _), (e, f, _, g, h, _) = start[:, 3:].T, current[:, 3:].T
+    angle = np.arctan2(a * f - b * e + c * h - d * g, a * e + b * f + c * g + d * h)
     force = np.clip(observation["force"][:, :2] / 20.0, -1.0, 1.0)
-    return np.column_stack([np.ones(len(turn)), turn, force])
+    return np.column_stack([np.ones(len(angle)), angle, force])
 
 
 class Trial:
@@ -89,13 +89,13 @@ class Trial:
         observation, _ = self._envs.reset(seed=seeds)  # type: ignore[arg-type]
         first = observation
         actions = np.zeros(self._envs.action_space.shape or ())
-        peak, ended = np.zeros(len(seeds)), np.zeros(len(seeds), dtype=bool)
-        while not ended.all():
+        peak, has_ended = np.zeros(len(seeds)), np.zeros(len(seeds), dtype=bool)
+        while not has_ended.all():
             values = features(observation, first)[:, : gains.shape[2]]
             actions[:, CHOSEN] = (gains @ values[:, :, None])[:, :, 0]
             observation, _, terminated, truncated, info = self._envs.step(np.clip(actions, -1, 1))
-            peak = np.where(ended, peak, np.maximum(peak, info["force"]))
-            ended = terminated | truncated
+            peak = np.where(has_ended, peak, np.maximum(peak, info["force"]))
+            has_ended = terminated | truncated
         return peak + CLOSED * (1.0 - info["progress"]), peak, info["is_success"]
 
 
@@ -115,21 +115,21 @@ def search(kind: str, seed: int) -> list[dict[str, Any]]:
     start = time.process_time()
     for generation in range(GENERATIONS + 1):
         if generation % MEASURE_EVERY == 0:
-            one = measure(validation, optimizer.mean.reshape(mean.shape), VALIDATION)
-            one |= {"doors": "validation", "episodes": generation * CANDIDATES * DOORS}
-            measured.append(one | {"cpu_seconds": time.process_time() - start})
-            print(kind, seed, {k: v for k, v in one.items() if k != "parameters"}, flush=True)
+            result = measure(validation, optimizer.mean.reshape(mean.shape), VALIDATION)
+            result |= {"doors": "validation", "episodes": generation * CANDIDATES * DOORS}
+            measured.append(result | {"cpu_seconds": time.process_time() - start})
+            print(kind, seed, {k: v for k, v in result.items() if k != "parameters"}, flush=True)
         if generation < GENERATIONS:
-            asked = [optimizer.ask() for _ in range(CANDIDATES)]
-            gains = np.repeat(np.array(asked).reshape(-1, *mean.shape), DOORS, axis=0)
+            candidates = [optimizer.ask() for _ in range(CANDIDATES)]
+            gains = np.repeat(np.array(candidates).reshape(-1, *mean.shape), DOORS, axis=0)
             doors = [1000 * (100 * seed + generation) + door for door in range(DOORS)]
             cost, _, _ = trial.costs(gains, doors * CANDIDATES)
             means = cost.reshape(CANDIDATES, DOORS).mean(axis=1)
-            optimizer.tell(list(zip(asked, means.tolist(), strict=True)))
-    best = min(measured, key=lambda one: one["cost"])
+            optimizer.tell(list(zip(candidates, means.tolist(), strict=True)))
+    best = min(measured, key=lambda result: result["cost"])
     last = best | measure(Trial(len(TEST)), np.array(best["parameters"]), TEST) | {"doors": "test"}
     last["cpu_seconds"] = time.process_time() - start
-    return [one | {"kind": kind, "seed": seed} for one in [*measured, last]]
+    return [result | {"kind": kind, "seed": seed} for result in [*measured, last]]
 
 
 def measure(trial: Trial, gains: Array, seeds: list[int]) -> dict[str, Any]:
@@ -156,9 +156,9 @@ def draw(measured: list[dict[str, Any]], path: Path) -> None:
     figure, axes = pyplot.subplots(figsize=(6.0, 3.4), layout="constrained")
     for kind, color in (("constant", "0.45"), ("policy", "tab:blue")):
         runs: dict[int, list[tuple[float, float]]] = {}
-        for one in measured:
-            if one["kind"] == kind and one["doors"] == "validation":
-                runs.setdefault(one["seed"], []).append((one["episodes"], one["cost"]))
+        for row in measured:
+            if row["kind"] == kind and row["doors"] == "validation":
+                runs.setdefault(row["seed"], []).append((row["episodes"], row["cost"]))
         for i, run in enumerate(runs.values()):
             label = None if i else {"constant": "constant action", "policy": "policy"}[kind]
             axes.plot(*zip(*run, strict=True), color=color, marker=".", label=label)
@@ -186,17 +186,17 @@ def main() -> None:
     if not arguments.draw:
         jobs = [(kind, seed) for seed in SEEDS for kind in ("constant", "policy")]
         with multiprocessing.get_context("spawn").Pool(arguments.processes) as pool:
-            measured = [one for run in pool.imap(_search, jobs) for one in run]
+            measured = [row for run in pool.imap(_search, jobs) for row in run]
         results.parent.mkdir(parents=True, exist_ok=True)
         results.write_text(json.dumps(measured, indent=1) + "\n", encoding="utf-8")
     measured = json.loads(results.read_text(encoding="utf-8"))
     print("| search | seed | largest force, mean of the test doors | cost | opened | CPU time |")
     print("|---|---|---|---|---|---|")
-    for one in measured:
-        if one["doors"] == "test":
+    for row in measured:
+        if row["doors"] == "test":
             print(
-                f"| {one['kind']} | {one['seed']} | {one['force']:.1f} N | {one['cost']:.1f} N | "
-                f"{one['open']:.0%} | {one['cpu_seconds']:.0f} s |"
+                f"| {row['kind']} | {row['seed']} | {row['force']:.1f} N | {row['cost']:.1f} N | "
+                f"{row['open']:.0%} | {row['cpu_seconds']:.0f} s |"
             )
     draw(measured, arguments.output / "learned_softness.png")
 

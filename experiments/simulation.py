@@ -122,11 +122,11 @@ def closed_loop(
             on_tick(time, plant)
         if listen is not None:
             listen(plant.torque)
-        wanted = target(time) if callable(target) else target
-        command = controller.step(plant.read().q, wanted)
+        pose = target(time) if callable(target) else target
+        command = controller.step(plant.read().q, pose)
         plant.write(command.goal, command.torque_limit)
         plant.advance()
-        yield time, wanted, command
+        yield time, pose, command
 
 
 def run(
@@ -156,9 +156,9 @@ def run(
     start = plant.tool
     door = next((fixture for fixture in plant.fixtures if isinstance(fixture, Door)), None)
     rows: list[tuple[Array, ...]] = []
-    for _, wanted, command in closed_loop(plant, controller, target, duration, on_tick=on_tick):
+    for _, pose, command in closed_loop(plant, controller, target, duration, on_tick=on_tick):
         tool = plant.tool
-        felt = plant.hands[0] if plant.hands else None
+        hand = plant.hands[0] if plant.hands else None
         # Baseline controllers have no diagnostics; their compliance is recorded as NaN.
         known = getattr(controller, "diagnostics", None)
         rows.append(
@@ -170,11 +170,11 @@ def run(
                 command.torque_limit,
                 plant.torque,
                 tool[:3, 3],
-                pliant.functional.pose_error(tool, wanted),
+                pliant.functional.pose_error(tool, pose),
                 pliant.functional.pose_error(start, tool),
                 np.full(6, np.nan) if known is None else known.compliance,
-                np.zeros(3) if felt is None else felt.force,
-                np.zeros(3) if felt is None else felt.torque,
+                np.zeros(3) if hand is None else hand.force,
+                np.zeros(3) if hand is None else hand.torque,
                 np.zeros(2) if door is None else np.array([door.peak_force, door.peak_torque]),
                 np.array(0.0 if door is None else door.angle),
             )

@@ -45,7 +45,7 @@ def recorded(example: Path) -> str | None:
 
 def record(example: Path) -> None:
     """Run an example in a process of its own and store its output."""
-    done = subprocess.run(
+    result = subprocess.run(
         [sys.executable, __file__, "--watch", str(example)],
         cwd=ROOT,
         env={**os.environ, "MUJOCO_GL": "egl", "MPLBACKEND": "Agg", "COLUMNS": "100"},
@@ -54,11 +54,11 @@ def record(example: Path) -> None:
         timeout=LONGEST,
         check=False,
     )
-    if done.returncode != 0:
-        raise SystemExit(f"{example.name} failed:\n{done.stderr}")
+    if result.returncode != 0:
+        raise SystemExit(f"{example.name} failed:\n{result.stderr}")
     # Names of temporary folders differ between runs.
-    said = re.sub(r"/tmp/\w+", "/tmp", done.stdout)
-    text = f"{digest(example)}\n{said.rstrip()}\n"
+    output = re.sub(r"/tmp/\w+", "/tmp", result.stdout)
+    text = f"{digest(example)}\n{output.rstrip()}\n"
     (GALLERY / f"{example.stem}.txt").write_text(text, encoding="utf-8")
 
 
@@ -109,8 +109,8 @@ class Film:
                 "q": plant.q.copy(),
                 "tool": plant.tool[:3, 3].copy(),
                 "hands": [
-                    (felt.hand.force(plant.ground_truth, plant.time)[2].copy(), felt.force.copy())
-                    for felt in plant.hands
+                    (hand.hand.force(plant.ground_truth, plant.time)[2].copy(), hand.force.copy())
+                    for hand in plant.hands
                 ],
             }
         )
@@ -127,11 +127,12 @@ class Film:
         import numpy as np
 
         steps = np.abs(np.diff([frame["q"] for frame in self.frames], axis=0)).sum(axis=1)
-        way = np.concatenate([[0.0], np.cumsum(steps)])
-        places = np.searchsorted(
-            way, np.linspace(0.0, way[-1], count + 1)[1:] - 0.5 * way[-1] / count
+        path_length = np.concatenate([[0.0], np.cumsum(steps)])
+        indices = np.searchsorted(
+            path_length,
+            np.linspace(0.0, path_length[-1], count + 1)[1:] - 0.5 * path_length[-1] / count,
         )
-        return [self.frames[min(int(place), len(self.frames) - 1)] for place in places]
+        return [self.frames[min(int(index), len(self.frames) - 1)] for index in indices]
 
     def show(self, frame: dict[str, object]) -> None:
         """Set the simulated arm to the state of a frame."""
@@ -168,9 +169,9 @@ class Film:
             self.show(frame)
             mujoco.mj_kinematics(model, data)
             solid = model.geom_rbound > 0.0  # a plane has no size
-            places, sizes = data.geom_xpos[solid], 0.6 * model.geom_rbound[solid, None]
-            low = np.minimum(low, (places - sizes).min(axis=0))
-            high = np.maximum(high, (places + sizes).max(axis=0))
+            positions, sizes = data.geom_xpos[solid], 0.6 * model.geom_rbound[solid, None]
+            low = np.minimum(low, (positions - sizes).min(axis=0))
+            high = np.maximum(high, (positions + sizes).max(axis=0))
         return ((low + high) / 2.0).tolist(), float(np.linalg.norm(high - low))
 
     def replay(self, path: Path, title: str) -> None:
@@ -225,18 +226,18 @@ def main() -> None:
     parser.add_argument("numbers", nargs="*", help="examples by number, e.g. 07")
     parser.add_argument("--all", action="store_true", help="also those that did not change")
     parser.add_argument("--watch", type=Path, help=argparse.SUPPRESS)
-    given = parser.parse_args()
-    if given.watch is not None:
-        watch(given.watch)
+    options = parser.parse_args()
+    if options.watch is not None:
+        watch(options.watch)
         return
     GALLERY.mkdir(exist_ok=True)
     for old in GALLERY.iterdir():
         if old.suffix in {".txt", ".jpg", ".html"} and not (EXAMPLES / f"{old.stem}.py").exists():
             old.unlink()
     for example in sorted(EXAMPLES.glob("*.py")):
-        named = example.stem[:2] in given.numbers
-        changed = not given.numbers and (given.all or recorded(example) != digest(example))
-        if named or changed:
+        is_named = example.stem[:2] in options.numbers
+        is_changed = not options.numbers and (options.all or recorded(example) != digest(example))
+        if is_named or is_changed:
             print(example.name, flush=True)
             record(example)
 
