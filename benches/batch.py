@@ -1,7 +1,6 @@
 """Rate and memory use of batch calls (many configurations in one call), on one and on all cores.
 
-    python benches/batch.py                N = 10⁵; --count for others, --instructions baseline,
-                                           --only kinematics,paper for some of the calls
+    python benches/batch.py [--count 100000] [--instructions baseline] [--only kinematics,paper]
 
 The calls of pliant are timed in two processes in turn: one with a single thread, and one with one
 thread per core. Results go into preallocated arrays. The rate of one core is measured in CPU time,
@@ -43,9 +42,9 @@ def settings() -> dict[str, pliant.Settings]:
 
 
 def calls(count: int, only: list[str]) -> dict[str, Callable[[], object]]:
-    """Return by name the timed calls, for `count` configurations each.
+    """Return the timed calls by name, each for `count` configurations.
 
-    Only calls whose names contain one of the words `only` are returned.
+    Only calls whose names contain one of the texts `only` are returned.
     """
     kp, torque = [150.0] * 4 + [60.0] * 3, [10.7] * 4 + [6.4] * 3
     servos = pliant.Servos(kp=kp, max_torque=torque, friction=0.1, stiffness_known=True)
@@ -73,7 +72,7 @@ def calls(count: int, only: list[str]) -> dict[str, Callable[[], object]]:
 
 
 def named(name: str, only: list[str]) -> bool:
-    """Return True if the name of a call contains one of the words `only`."""
+    """Return True if a name contains one of the texts `only`."""
     return any(part in name for part in only)
 
 

@@ -74,7 +74,8 @@ def followed(model: pliant.Model) -> list[tuple[Any, Any]]:
 def reference(own_names: dict[str, Any]) -> dict[str, Any]:
     """Return Pinocchio's objects for the statement `REFERENCE`, by variable name.
 
-    Check first that Pinocchio's Jacobian equals that of `ours`, the result of `names`.
+    Raises:
+        AssertionError: Its Jacobian differs from that of `own_names`, the result of `names`.
     """
     import pinocchio
 

@@ -24,7 +24,7 @@ try:
 except pliant.OutOfRangeError as error:
     print(f"too fine a threshold is refused: {error}\n")
 
-# 2. Reactions: to a push from below, move 5 cm up for a second; dragged far, hold still.
+# 2. Reactions: after a push from below, move 5 cm up for a second; after a long drag, hold still.
 upward_push = Force("z", above=6.0, toward="+").for_seconds(0.05)
 sideways_drag = Deviation("y", above=0.08)
 reactions = [

@@ -1,7 +1,7 @@
-"""The arm pulls a drawer open whose slide is 10° off the assumed direction.
+"""Pull a drawer open whose slide is 10° off the assumed direction.
 
-With the preset the other translations follow the slide and the pull is capped, end stop included;
-with all axes stiff the arm levers against the slide.
+With the preset, the tool follows the slide, and the pull is capped, also at the end stop. With all
+axes stiff, the arm strains against the slide.
 """
 
 import os

@@ -1,4 +1,4 @@
-"""The arm holds out an object of unknown weight, gives way to the hand that takes it, and lets go.
+"""Hand over an object of unknown weight: give way to the hand that takes it, then let go.
 
 Close to its target the arm resists enough to carry the object. Once the hand has moved it by 50 mm,
 the gripper opens. With all axes stiff, the person has to pull three times as hard.

@@ -1,6 +1,6 @@
-"""The arm puts a plug into a hole that is 2 mm and 2° off, pushing with at most 10 N.
+"""Insert a plug into a hole that is 2 mm and 2° off, pushing with at most 10 N.
 
-Put the tool frame at the plug's tip: it then turns about the tip, as the chamfer requires.
+The tool frame is at the tip of the plug, so that the plug turns about its tip in the chamfer.
 """
 
 import os

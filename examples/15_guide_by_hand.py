@@ -1,4 +1,4 @@
-"""A hand guides the tool and lets go: with `hand_guiding` it is light, and stays where it is."""
+"""Guide the tool by hand: with `hand_guiding`, a small force moves it, and it stays."""
 
 import os
 

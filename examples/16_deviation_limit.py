@@ -1,4 +1,4 @@
-"""A stiff axis meets a wall: its target yields, the whole target waits, or the force builds up.
+"""Limit the deviation of a stiff axis at a wall: its target yields, or the whole target waits.
 
 `deviation_limit` bounds the deviation of a stiff axis, and so its force.
 """

@@ -1,4 +1,4 @@
-"""Hand guiding: the arm is weightless and stays where it is left, even with k_p wrong by half.
+"""Hand guiding: the arm is weightless and stays where it is released, also with a wrong k_p.
 
 python examples/18_float.py
 """
@@ -33,7 +33,7 @@ for kp_scale in (0.5, 1.0, 2.0):
         command = floating.step(arm.read().q)
         arm.write(command.goal, command.torque_limit)
         arm.advance()
-        start += not floating.ready  # the initial swing: do not touch the arm
+        start += not floating.ready  # the initial motion: do not touch the arm
         positions.append(arm.tool[:3, 3])
         forces.append(abs(arm.hands[0].force[1]))
 

@@ -24,7 +24,7 @@ def postures(count: int) -> np.ndarray:
 
 
 def targets_near(q: np.ndarray) -> np.ndarray:
-    """Return tool poses (N, 4, 4) a few centimetres away."""
+    """Return tool poses (N, 4, 4) a few centimetres from those at q (N, n) [rad]."""
     return model.forward_kinematics_batch(q + rng.uniform(-0.1, 0.1, q.shape))
 
 
@@ -37,7 +37,7 @@ single_controller.step(q[0], targets[0])
 
 arrivals, spent = 0, 0.0
 for _ in range(TICKS):
-    # Massless springs under gravity: each tick covers a tenth of the distance to rest.
+    # Stand-in for a simulator: each tick covers a tenth of the distance to the equilibrium.
     q += 0.1 * (command.goal - q - model.gravity_batch(q) / model.servos.kp)
     tool = model.forward_kinematics_batch(q)
     is_at_target = np.linalg.norm(tool[:, :3, 3] - targets[:, :3, 3], axis=1) < 0.005

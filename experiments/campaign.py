@@ -216,7 +216,7 @@ class Promise:
 
 
 class Bench:
-    """Simulated arm, hand and controllers under one disturbance; reused for all pushes."""
+    """Simulated arm, hand and controllers under one disturbance, for any number of pushes."""
 
     def __init__(self, arm: Arm, disturbance: Disturbance = UNDISTURBED) -> None:
         """Build the simulated arm and the hand."""
@@ -294,8 +294,8 @@ class Bench:
         distance, speed = self._hand_motion(q, row, cap)
         if disturbance.short < np.inf:
             distance = min(distance, disturbance.short * stop_distance)
-        # The push reaches a stop only if the tool does. The tool moves less than the hand, by the
-        # stretch of the hand's spring at the largest force in the band.
+        # A joint meets its stop only if the tool moves far enough. The tool moves less than the
+        # hand, by the stretch of the hand's spring at the largest force in the band.
         tolerance, rubs = (0.40 if disturbance.wrong else 0.15) * cap, report.friction
         tool_distance = distance - (cap + tolerance + rubs) / grip.stiffness[row]
         announced = (

@@ -29,9 +29,9 @@ STEADY = Drag(
     at="tool",
     course=ForceProfile(start=1.0, rise=6.0, end=7.0),
 )
-#: Run `block`: distance of the wall from the tool, final distance of the target behind the surface
-#: of the wall, and final sideways distance of the target from the tool's start [m].
-GAP, BEHIND, ASIDE = 0.03, 0.07, 0.10
+#: Distances in `block` [m]: initial gap between tool and wall, final depth of the target in the
+#: wall, and final sideways distance of the target from its start.
+GAP, DEPTH, ASIDE = 0.03, 0.07, 0.10
 #: Time at which the wall is removed [s].
 WALL_END = 6.0
 
@@ -114,7 +114,7 @@ def block(law: pliant.Settings, *, conditions: Conditions = NOMINAL) -> BlockRes
 
     def target(t: float) -> Array:
         share = min(max((t - 1.0) / 2.0, 0.0), 1.0)
-        return displaced(displaced(start, "x", share * (GAP + BEHIND)), "y", share * ASIDE)
+        return displaced(displaced(start, "x", share * (GAP + DEPTH)), "y", share * ASIDE)
 
     def take_away(time: float, plant: Plant) -> None:
         if abs(time - WALL_END) < 0.5 * plant.period:

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from pliant.emulator import ArmEmulator
 
 
-#: Minimum time that the driver waits for a reply, by the wall clock [s]. The emulator's reply is
-#: lost if a busy computer delays it longer.
+#: Minimum reply timeout of the driver, by the wall clock [s]. A reply that a busy computer delays
+#: longer counts as lost.
 PATIENCE = 0.05
 
 

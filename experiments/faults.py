@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 #: Id of the elbow's servo, in the middle of the arm.
 ELBOW = 4
-#: Number of repetitions that makes an injected fault permanent.
+#: Number of repetitions of an injected fault that is permanent.
 ALWAYS = 10**9
 
 
@@ -118,7 +118,7 @@ def _for_duration(
                     watchers.remove(watch)
                     end(scene.bus)
 
-            # The physics ends the fault: the control loop cannot if the fault blocks it.
+            # End the fault from the physics: the control loop may be blocked by the fault.
             watchers.append(watch)
         return scene.target
 
@@ -344,7 +344,7 @@ class Allowed:
     """Bound on the force on a hand that pulls the tool along y.
 
     Attributes:
-        still: Bound with all joints at rest [N].
+        still: Bound while all joints are at rest [N].
         drag: Increase of the bound by the speed of each joint (n,) [N·s/rad].
     """
 
@@ -524,9 +524,9 @@ def _run_loop(
 
 
 class Grasp:
-    """Hand that grasps the tool where it is at a given time, and pulls it along y from there.
+    """Hand that grasps the tool at a given time, and pulls it along y from its position then.
 
-    A `Drag` alone would measure its distance from the tool's position at the reset of the plant.
+    A `Drag` alone pulls the tool from its position at the reset of the plant.
     """
 
     at = TOOL

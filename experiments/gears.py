@@ -44,16 +44,16 @@ if TYPE_CHECKING:
 PERIOD, CREEP = 0.01, 0.1
 #: Angle of an encoder count [rad].
 COUNT = float(np.deg2rad(0.088))
-#: Time that an arm at rest has to settle, shortest time after it, and window of one check of the
-#: joint speeds [s].
+#: Times of an arm at rest [s]: settling time, shortest observation time after it, and averaging
+#: window of the joint speeds.
 SETTLE, OBSERVED, WINDOW = 3.0, 3.0, 1.0
 #: Bounds of an arm at rest: largest displacement of the tool [m] and rms speed of the joints in a
 #: window [rad/s].
 STAYS, STILL = 2e-3, 0.02
 #: Change of a servo's torque that counts as a reversal, as a share of its usable torque.
 REVERSAL = 0.005
-#: Bounds of the learned ratio of true to assumed friction, least speed of a joint that teaches it
-#: [rad/s], least travel of such a joint [rad], and duration of the motion that teaches it [s].
+#: Learning of the ratio of true to assumed friction: bounds of the ratio, smallest joint speed
+#: [rad/s] and travel [rad] that count, and duration of the motion [s].
 LEARNED, TEACHING, TRAVEL, LESSON = (0.6, 1.5), 0.1, 0.1, 8.0
 
 
@@ -296,12 +296,11 @@ class Remedied:
 
 @cache
 def learned(case: Case) -> Array:
-    """Return the ratio of true to assumed friction (n,) that an observer finds in free motion.
+    """Return the ratio of true to assumed friction (n,) that is estimated in free motion.
 
-    The target moves on a circle through the workspace. A joint that moves teaches the ratio by
-    least squares: the lead of its goal, without gravity and damping, against the assumed friction.
-    A joint that hardly moves keeps 1. In contact the observer would have to be off, because it
-    takes a force of the hand for friction.
+    The target moves on a circle through the workspace. For each moving joint, least squares fit the
+    ratio of the torque from its lead, without gravity and damping, to the assumed friction. A joint
+    that hardly moves keeps 1. The method does not distinguish friction from the force of a hand.
     """
     plant, bench = case.build(), BENCHES[case.arm]
     table, arm = case.table(), model(case.arm)
@@ -323,8 +322,7 @@ def learned(case: Case) -> Array:
     goals: list[Array] = [bench.start] * (2 * case.delay + 1)
     for _, _, command in closed_loop(plant, controller, circle, LESSON):
         goals.append(command.goal)
-        # The goal that the servos had before they took the last reading, and the positions in the
-        # middle of that period.
+        # Goal before the last reading was taken, and position in the middle of that period.
         v = np.asarray(controller.diagnostics.velocity)
         q = controller.reading - 0.5 * PERIOD * v
         friction_torque = np.asarray(table.kp) * (goals[-2 - 2 * case.delay] - q)
@@ -350,7 +348,7 @@ class Result:
         reversals: Reversals of the servo torque at rest, mean over the joints [1/s].
         heat: Mean squared servo torque at rest over that of gravity alone [1].
         quiet: Time at rest before the tool leaves `STAYS` or a joint exceeds `STILL` [min].
-        rested: Time at rest that was simulated [min].
+        rested: Limit of the simulated time at rest [min].
     """
 
     drag: float
@@ -455,7 +453,7 @@ def _reversals(values: Array, band: float) -> int:
 
 @dataclass(frozen=True, kw_only=True)
 class Bound:
-    """Force of a hand at the start of a drag before a position servo without dither notices it.
+    """Force that a hand needs before a position servo without dither can react.
 
     Attributes:
         moves: Force that moves one joint against its static friction [N].

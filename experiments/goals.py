@@ -39,9 +39,9 @@ def hold(conditions: Conditions) -> Figures:
 
 
 def dragged(law: disturbances.Law, hand: Drag) -> Measure:
-    """Return a function that measures a hand which drags the arm along soft y.
+    """Return a function that measures force and drift while a hand drags the arm along soft y.
 
-    It returns the largest force of the hand and the drift of the other positions.
+    The function returns the largest force of the hand and the drift of the other positions.
     """
 
     def measure(conditions: Conditions) -> Figures:
@@ -98,9 +98,9 @@ def yaw(conditions: Conditions) -> Figures:
 
 
 def sinusoids(law: Callable[..., disturbances.Law]) -> Measure:
-    """Return a function that measures sinusoidal tracking by each axis in turn, which is then soft.
+    """Return a function that measures sinusoidal tracking along each axis, with this axis soft.
 
-    It returns the worst results over the axes.
+    The function returns the worst results over the axes.
     """
 
     def measure(conditions: Conditions) -> Figures:
@@ -116,7 +116,7 @@ def sinusoids(law: Callable[..., disturbances.Law]) -> Measure:
 def door(scene: str, law: Callable[..., disturbances.Law] = controllers.cap) -> Measure:
     """Return a function that measures how the arm opens a rigidly gripped door.
 
-    It returns the largest opening and the largest force at the handle.
+    The function returns the largest opening and the largest force at the handle.
     """
 
     def measure(conditions: Conditions) -> Figures:
@@ -127,9 +127,9 @@ def door(scene: str, law: Callable[..., disturbances.Law] = controllers.cap) -> 
 
 
 def bumps(conditions: Conditions) -> Figures:
-    """Measure 18 motions into walls; return the worst results.
+    """Measure 18 motions into walls.
 
-    They are the largest excess of the impact force over its bound, and the largest force later than
+    Return the largest excess of an impact force over its bound, and the largest force later than
     0.3 s after the contact.
     """
     results = [
@@ -261,10 +261,10 @@ class _Entry:
 
 
 def _worst(values: list[float], goal: Goal) -> float:
-    """Return the worst of some values: that which exceeds a bound of the goal most.
+    """Return the value that exceeds a bound of the goal most.
 
-    If all values are inside, it is the one nearest to a bound; for a goal without bounds, it is the
-    largest value.
+    If all values lie within the bounds, return the value nearest to a bound; for a goal without
+    bounds, return the largest value.
     """
     if np.isinf(goal.low) and np.isinf(goal.high):
         return max(values)

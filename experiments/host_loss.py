@@ -95,7 +95,7 @@ class HostLossPush:
 
 
 class Bench:
-    """Simulated arm, hand and controller; reused for all poses of the arm."""
+    """Simulated arm, hand and controller, for any pose of the arm."""
 
     def __init__(self, arm: Arm, settings: pliant.Settings | None = None) -> None:
         """Build simulated arm, hand and controller.

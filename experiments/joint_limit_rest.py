@@ -66,7 +66,7 @@ class Rest:
     turns: tuple[int, int]
 
 
-def beside(arm: Arm, pose: int) -> Array:
+def pose_near_limit(arm: Arm, pose: int) -> Array:
     """Return a random pose (n,) [rad] in which one joint is within `ROOM` of its position limit.
 
     The servos can hold the arm in the pose, and the pose is not near a singularity. `pose` is the
@@ -114,7 +114,7 @@ class Job:
             **NO_RATE_LIMITS,
         )
         controller = pliant.Controller(arm.model, settings, arm.servos)
-        q = beside(arm, self.pose)
+        q = pose_near_limit(arm, self.pose)
         plant.reset(q)
         controller.reset(q)
         grip.place(plant)
@@ -147,11 +147,11 @@ class Job:
             pose=self.pose,
             room=float(room),
             moves=(first, last),
-            turns=(_turns(windows[0]), _turns(windows[1])),
+            turns=(_reversals(windows[0]), _reversals(windows[1])),
         )
 
 
-def _turns(angles: Array) -> int:
+def _reversals(angles: Array) -> int:
     """Return the largest number of reversals of a joint, from joint positions (N, n) [rad].
 
     Joints that move by less than 5 mrad do not count.

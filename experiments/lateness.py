@@ -39,7 +39,7 @@ PATIENCE = 30.0
 
 
 @dataclass
-class Way:
+class Combination:
     """Combination of web page and log, with the lateness measured over all runs with it.
 
     Attributes:
@@ -69,7 +69,7 @@ class Way:
         }[self.page, self.log]
 
 
-class Timed:
+class TimedLink:
     """Link between a session and an optional web page, for a run of limited duration.
 
     It counts the snapshots, and sends the session a stop request after `ticks` ticks.
@@ -99,7 +99,7 @@ class Timed:
             self._link.send(message)
 
 
-def run(combination: Way, link: Link | None, seconds: float, folder: Path) -> None:
+def run(combination: Combination, link: Link | None, seconds: float, folder: Path) -> None:
     """Control the arm for `seconds` with a combination, and add the lateness to its record.
 
     Args:
@@ -114,7 +114,7 @@ def run(combination: Way, link: Link | None, seconds: float, folder: Path) -> No
         handle_signals=False,
         comm_timeout=PATIENCE,
     )
-    timed_link = Timed(link if combination.page else None, round(seconds * RATE))
+    timed_link = TimedLink(link if combination.page else None, round(seconds * RATE))
     session = Session(
         source, cast("Link", timed_link), folder / "run.mcap" if combination.log else None
     )
@@ -168,7 +168,9 @@ def main(*, seconds: float = 10.0, rounds: int = 3, client: str = "") -> None:
     if client:
         take_all(client)
         return
-    combinations = [Way(page=page, log=log) for page, log in product((False, True), repeat=2)]
+    combinations = [
+        Combination(page=page, log=log) for page, log in product((False, True), repeat=2)
+    ]
     with tempfile.TemporaryDirectory() as name:
         for _ in range(rounds):
             for combination in combinations:

@@ -1,14 +1,14 @@
-"""Learns to open doors of unknown radius and friction with little force: policy against constant.
+"""Comparison of a learned policy with a constant action: opening doors with little force.
 
     python -m experiments.learned_softness            three seeds of both searches, then the picture
     python -m experiments.learned_softness --draw     only the picture, from the last results
 
-CMA-ES searches two kinds of parameters with the same number of episodes, the same doors and the
-same start: a constant action (pull, sideways, turn, and the softness of y and yaw), and a policy
-whose action depends linearly on how far the tool has turned and on the felt force. The cost of an
-episode is the largest force in the grip [N] plus 100 N times the part of the 60° that is missing.
-After each few generations the mean of the search opens validation doors, which no search
-has seen; the best of these means opens the test doors once.
+The radius and friction of the doors are unknown. CMA-ES searches two kinds of parameters with the
+same number of episodes, the same doors and the same start: a constant action (pull, sideways, turn,
+and the softness of y and yaw), and a policy whose action depends linearly on the rotation of the
+tool and on the estimated force. The cost of an episode is the largest force in the grip [N] plus
+100 N times the missing share of an opening of 60°. Every few generations, the mean of the search
+is measured on validation doors; the best of these means is measured once on the test doors.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ FEATURES = 4
 
 
 def features(observation: dict[str, Array], first: dict[str, Array]) -> Array:
-    """Return the features (N, FEATURES): 1, turn about z since the start, felt force along x, y."""
+    """Return the features (N, FEATURES): 1, rotation about z from the start, force along x, y."""
     current, start = observation["tool"], first["tool"]
     (a, b, _, c, d, _), (e, f, _, g, h, _) = start[:, 3:].T, current[:, 3:].T
     angle = np.arctan2(a * f - b * e + c * h - d * g, a * e + b * f + c * g + d * h)
@@ -84,7 +84,7 @@ class Trial:
             seeds: Seed of each door; equal seeds are equal doors.
 
         Returns:
-            Costs [N], largest forces [N] and whether the door is open (N,).
+            Costs (N,) [N], largest forces (N,) [N], and True for open doors (N,).
         """
         observation, _ = self._envs.reset(seed=seeds)  # type: ignore[arg-type]
         first = observation
@@ -150,7 +150,7 @@ def measure(trial: Trial, gains: Array, seeds: list[int]) -> dict[str, Any]:
 
 
 def draw(measured: list[dict[str, Any]], path: Path) -> None:
-    """Draw the cost on the validation doors over the episodes of the searches."""
+    """Draw the cost on the validation doors against the number of episodes of each search."""
     from matplotlib import pyplot
 
     figure, axes = pyplot.subplots(figsize=(6.0, 3.4), layout="constrained")

@@ -379,7 +379,7 @@ def judge(
     ask: Callable[[str], Any],
     lag: float,
 ) -> SoakResult:
-    """Return the result of a run, from the records of the host and of the emulator.
+    """Evaluate a run from the records of the host and of the emulator.
 
     Args:
         family: Servo family.

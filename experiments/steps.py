@@ -4,8 +4,8 @@
 from random poses in several directions, with every law and two limits of the tool speed. It prints
 the largest tool speed (averaged over 50 ms), the largest overshoot along the step and the distance
 to the target after 4 s. With `--disturbed`, the true servos differ from the assumed ones. With
-`--soft` some axes are soft, and with `--singular` poses may be near a singular one: the table then
-is about the speed only.
+`--soft` some axes are soft, and with `--singular` poses may be near a singularity; the table then
+has the speed only.
 """
 
 from __future__ import annotations
@@ -115,9 +115,9 @@ class StepResult:
 
 
 def steps(name: str, count: int, seed: int = 1, *, singular: bool = False) -> list[Step]:
-    """Return `count` random steps of the target of an arm, all poses of which are `_passable`.
+    """Return `count` random steps of the target along paths that are `_passable`.
 
-    With `singular` they may be near a singular one.
+    With `singular`, poses may be near a singularity.
     """
     it = arm(name)
     model, chance = it.model, np.random.default_rng(seed)
@@ -231,7 +231,7 @@ class Job:
         count: Number of steps.
         case: One of `DISTURBED`, or the nominal one.
         soft: Names of the soft axes.
-        singular: True if poses may be near a singular one.
+        singular: True if poses may be near a singularity.
     """
 
     robot: str
@@ -308,7 +308,7 @@ def main(
         poses: Number of steps per row.
         disturbed: True uses servos that differ from the assumed ones.
         soft: Names of the soft axes, such as "x y"; default: none.
-        singular: True allows poses near a singular one.
+        singular: True allows poses near a singularity.
         jobs: Number of processes.
     """
     todo = rows(robot, poses, with_disturbances=disturbed, soft=soft, singular=singular)

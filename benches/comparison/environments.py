@@ -55,7 +55,7 @@ PEERS = (
 
 
 def python_for(entry: Entry) -> str:
-    """Return the path of a Python interpreter that has the module which an implementation needs.
+    """Return the path of a Python interpreter that has the module of an implementation.
 
     The running interpreter is used if it has the module. Otherwise an environment under build/peers
     is created, and the package is installed there.

@@ -13,7 +13,7 @@ Pair = tuple[Array, Array]
 
 @dataclass
 class Implementation:
-    """Compared implementation of up to three functions; one that it lacks is None.
+    """Compared implementation of up to three functions; missing functions are None.
 
     Attributes:
         version: Name and version of the library, for the table.

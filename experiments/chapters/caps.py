@@ -56,7 +56,7 @@ def _by_arm(outcomes: Mapping[str, Sequence[Promise]]) -> dict[str, list[Promise
 
 
 def measure(outcomes: Mapping[str, Sequence[Promise]]) -> Numbers:
-    """Return the statistics `FIGURES` of each arm."""
+    """Return the attributes `FIGURES` of the statistics (`campaign.Row`) of each arm."""
     rows = {a: table.summary(a, "nominal", promises) for a, promises in _by_arm(outcomes).items()}
     return {arm: {name: getattr(row, name) for name in FIGURES} for arm, row in rows.items()}
 

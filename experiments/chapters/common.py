@@ -43,23 +43,23 @@ class Options:
 
 
 def drag(law: Callable[[], Law], *args: Any, **kwargs: Any) -> disturbances.DragResult:
-    """Run `disturbances.drag` with the law that the factory `law` returns; return its result.
+    """Run `disturbances.drag` with the result of the factory `law`; return its result.
 
-    With a factory, the process that runs the job makes the settings.
+    The factory is called in the process that runs the job.
     """
     return disturbances.drag(law(), *args, **kwargs)
 
 
 def track(law: Callable[[], Law], *args: Any, **kwargs: Any) -> tracking.TrackResult:
-    """Run `tracking.track` with the law that the factory `law` returns; return its result.
+    """Run `tracking.track` with the result of the factory `law`; return its result.
 
-    With a factory, the process that runs the job makes the settings.
+    The factory is called in the process that runs the job.
     """
     return tracking.track(law(), *args, **kwargs)
 
 
 def return_time(trace: Trace, axis: int, *, release: float = RELEASE) -> float | None:
-    """Return the time from the release until an axis has returned to its target for good [s].
+    """Return the time from the release until an axis stays at its target [s].
 
     Args:
         trace: Run in which a hand releases the arm.

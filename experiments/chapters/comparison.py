@@ -142,7 +142,7 @@ def _keys(jobs: list[Job]) -> set[str]:
 
 
 def measure(outcomes: Mapping[str, DragResult]) -> Numbers:
-    """Return the numbers of each method; each is the worse one of the two drag directions."""
+    """Return forces, displacements and return time by method, the worse value of both directions."""
     by_method: dict[str, list[dict[str, float | None]]] = {}
     for name, run in outcomes.items():
         key, run_name = name.split("/")
@@ -315,8 +315,8 @@ def draw(outcomes: Mapping[str, DragResult], options: Options) -> None:
 
 #: Start and end of the time in which the host neither reads nor writes, while the hand moves [s].
 STALL = (2.6, 3.6)
-#: True over assumed friction and damping of the gears: more than assumed, less than assumed.
-HIGH_ASSUMED, LOW_ASSUMED = 1.0 / 0.7, 1.0 / 1.3
+#: Ratios of true to assumed friction and damping: higher than assumed, and lower.
+HIGH_FRICTION, LOW_FRICTION = 1.0 / 0.7, 1.0 / 1.3
 #: Keys of the methods that run with a stalled host and with wrong friction, one of each kind.
 STRESS_METHODS = (
     "stiff",
@@ -331,7 +331,7 @@ STRESS_METHODS = (
 
 
 def stress_jobs(methods: Mapping[str, Method]) -> list[Job]:
-    """Return three runs for each method of `STRESS_METHODS` that is in `ways`.
+    """Return three runs for each method of `STRESS_METHODS` that is in `methods`.
 
     The host stalls in the first run. The true friction is higher than assumed in the second, and
     lower in the third.
@@ -356,8 +356,8 @@ def stress_jobs(methods: Mapping[str, Method]) -> list[Job]:
 def _stresses(nominal: Conditions) -> dict[str, Conditions]:
     return {
         "stall": nominal.with_plant(bus_outage=STALL),
-        "tight": nominal.with_plant(friction_scale=HIGH_ASSUMED, damping_scale=HIGH_ASSUMED),
-        "loose": nominal.with_plant(friction_scale=LOW_ASSUMED, damping_scale=LOW_ASSUMED),
+        "tight": nominal.with_plant(friction_scale=HIGH_FRICTION, damping_scale=HIGH_FRICTION),
+        "loose": nominal.with_plant(friction_scale=LOW_FRICTION, damping_scale=LOW_FRICTION),
     }
 
 

@@ -80,7 +80,7 @@ def jobs(options: Options) -> list[Job]:
 
 
 def measure(outcomes: Mapping[str, Any]) -> Numbers:
-    """Return the numbers by scene, grip and law."""
+    """Return angles [deg], forces [N] and torques [N·m] of the runs, by scene, grip and law."""
     opening: dict[str, dict[str, dict[str, dict[str, float]]]] = {}
     both: dict[str, dict[str, dict[str, dict[str, Any]]]] = {}
     for name, run in outcomes.items():
@@ -179,8 +179,8 @@ NAMES = {
 }
 #: Opening below which a door counts as stuck [deg].
 STUCK = 35.0
-#: Allowed difference between the opening at the detected and at the true end of a motion [deg].
-CLOSED_ANGLE = 1.0
+#: Allowed difference of the angle at a detected end of the motion from that of the true end [deg].
+END_TOLERANCE = 1.0
 
 
 def door_figures(opening: Numbers, both: Numbers) -> tuple[Figure, ...]:
@@ -350,9 +350,9 @@ def _ends(both: Numbers) -> Statement:
         second = ends[1] if len(ends) > 1 else float("nan")
         tests += [
             between(
-                f"{scene}, {grip}: open", first, STOP - CLOSED_ANGLE, STOP + CLOSED_ANGLE, "deg"
+                f"{scene}, {grip}: open", first, STOP - END_TOLERANCE, STOP + END_TOLERANCE, "deg"
             ),
-            between(f"{scene}, {grip}: closed", second, -CLOSED_ANGLE, CLOSED_ANGLE, "deg"),
+            between(f"{scene}, {grip}: closed", second, -END_TOLERANCE, END_TOLERANCE, "deg"),
         ]
         texts.append(f"{first:.1f}°/{second:.1f}°")
         forces.append(run["force"])
@@ -479,7 +479,7 @@ def _frames(trace: Trace) -> list[NDArray[np.uint8] | None]:
 
 
 def circle(largest: float = 80.0) -> Array:
-    """Return points (k, 3) [m] of the handle's circular path, up to an opening `most` [deg]."""
+    """Return points (k, 3) [m] of the handle's circular path, up to an opening `largest` [deg]."""
     handle = tool(SCENES["door"].start)[:3, 3]
     arm_of_handle = np.array([0.0, 0.30, 0.0])
     angle = np.deg2rad(np.linspace(0.0, largest, 41))[:, None]
@@ -645,7 +645,7 @@ def draw_closing(
 
 
 def recognised(t: Array, force: Array) -> list[int]:
-    """Return the ticks at which resistance is detected: to opening, then to closing.
+    """Return the ticks at which resistance is detected: first of opening, then of closing.
 
     Args:
         t: Time of each tick (N,) [s].

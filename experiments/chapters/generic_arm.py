@@ -291,8 +291,7 @@ def strengths(source: Source) -> Strengths:
         controller.step(arm.pose, poses.displaced(start, arm.soft, deviation))
         return float(controller.diagnostics.axis_strength[row])
 
-    # At this deviation the cap is `firm`. Do not use more than the reach: the controller rejects
-    # targets that are far out of reach.
+    # At this deviation the cap is `firm`; the controller rejects targets far out of reach.
     length = min(1.0, float(arm.model.reach))
     return Strengths(
         soft=strength(arm.soft, 0.0), firm=strength(arm.soft, length), hold=strength("", 0.0)
@@ -555,8 +554,8 @@ class CapChapter:
 
 def _tried(outcomes: Mapping[str, Sequence[Promise]]) -> list[Promise]:
     """Return the pushes that were run and for which no stop was announced."""
-    pushes = [one for several in outcomes.values() for one in several]
-    return [one for one in pushes if not one.refused and not one.announced]
+    pushes = [push for results in outcomes.values() for push in results]
+    return [push for push in pushes if not push.refused and not push.announced]
 
 
 def experiments(source: Source) -> dict[int, Any]:
@@ -601,7 +600,7 @@ class DragChapter:
         ]
 
     def measure(self, outcomes: Mapping[str, Any]) -> Numbers:
-        """Return the numbers of each kind of run; each is the worse one of the two directions."""
+        """Return forces and displacements of each kind of run: the worse value of both directions."""
         arm, caps = load(self.source), outcomes["strengths"]
         kinds: dict[str, dict[str, float]] = {}
         for name, trace in outcomes.items():

@@ -105,7 +105,7 @@ def jobs(options: Options) -> list[Job]:
 
 
 def measure(outcomes: Mapping[str, DragResult]) -> Numbers:
-    """Return the numbers by axis, law, η and direction."""
+    """Return forces, deviations and return times by axis, law, η and direction."""
     numbers: dict[str, dict[str, dict[str, dict[str, dict[str, float | None]]]]] = {}
     for name, run in outcomes.items():
         axis, law, eta, sign = name.split()
