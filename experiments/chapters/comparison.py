@@ -142,7 +142,7 @@ def _keys(jobs: list[Job]) -> set[str]:
 
 
 def measure(outcomes: Mapping[str, DragResult]) -> Numbers:
-    """Return forces, displacements and return time by method, the worse value of both directions."""
+    """Return forces, displacements and return time by method: worse value of both directions."""
     by_method: dict[str, list[dict[str, float | None]]] = {}
     for name, run in outcomes.items():
         key, run_name = name.split("/")

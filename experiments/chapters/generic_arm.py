@@ -600,7 +600,7 @@ class DragChapter:
         ]
 
     def measure(self, outcomes: Mapping[str, Any]) -> Numbers:
-        """Return forces and displacements of each kind of run: the worse value of both directions."""
+        """Return forces and displacements of each kind of run: worse value of both directions."""
         arm, caps = load(self.source), outcomes["strengths"]
         kinds: dict[str, dict[str, float]] = {}
         for name, trace in outcomes.items():
