@@ -148,7 +148,7 @@ class Promise:
         rubs: Reported friction force of the remaining joints at the stop; 0 if not `announced`
             [N or N·m].
         promise: Expected force min(F, (1 - η)|e| / C_jj) at the deviation e [N or N·m].
-        felt: Measured force on the hand [N or N·m].
+        measured: Measured force on the hand [N or N·m].
         friction: Force on the hand by friction and damping, Σ_i |J⁺_ij| (τ_f,i + d_i |q̇_i|) over
             the joints i, with the assumed dry friction τ_f; damping d counts only for a hand whose
             force is evaluated in motion [N or N·m].
@@ -176,7 +176,7 @@ class Promise:
     announced: bool = False
     rubs: float = 0.0
     promise: float = np.nan
-    felt: float = np.nan
+    measured: float = np.nan
     friction: float = np.nan
     true_friction: float = np.nan
     band: float = np.nan
@@ -190,17 +190,17 @@ class Promise:
     @property
     def error(self) -> float:
         """Measured minus expected force, as a share of the cap."""
-        return (self.felt - self.promise) / self.cap
+        return (self.measured - self.promise) / self.cap
 
     @property
     def kept(self) -> bool:
         """True if the measured force is in the band."""
-        return abs(self.felt - self.promise) <= self.band
+        return abs(self.measured - self.promise) <= self.band
 
     @property
     def kept_as_said(self) -> bool:
         """True if the measured force is in a band with the larger one of `rubs` and `friction`."""
-        return abs(self.felt - self.promise) <= self.band + max(self.rubs - self.friction, 0.0)
+        return abs(self.measured - self.promise) <= self.band + max(self.rubs - self.friction, 0.0)
 
     @property
     def stopped(self) -> bool:
@@ -212,7 +212,7 @@ class Promise:
         if self.kept or not (self.locked or self.stop != 0.0):
             return False
         band = self.band - self.friction + max(self.left, self.friction)
-        return abs(self.felt - self.stop - self.promise) <= band
+        return abs(self.measured - self.stop - self.promise) <= band
 
 
 class Bench:
@@ -341,7 +341,7 @@ class Bench:
             announced=announced,
             rubs=stop.friction if stop is not None and announced else 0.0,
             promise=min(cap, (1.0 - disturbance.eta) * float(np.mean(displacements)) / c),
-            felt=float(np.mean(forces)),
+            measured=float(np.mean(forces)),
             friction=friction,
             true_friction=float(inverse @ (plant.friction + rubs)),
             band=(0.40 if disturbance.wrong else 0.15) * cap + friction,
@@ -617,7 +617,7 @@ def summary(arm: str, disturbance: str, promises: Sequence[Promise]) -> Row:
         kept_clear=_share([p.kept for p in clear_pushes]),
         clear=len(clear_pushes) / max(len(run), 1),
         kept_truly=_share(
-            [abs(p.felt - p.promise) <= p.band - p.friction + p.true_friction for p in run]
+            [abs(p.measured - p.promise) <= p.band - p.friction + p.true_friction for p in run]
         ),
         median=_quantile([abs(p.error) for p in run], 0.5),
         p95=_quantile([abs(p.error) for p in run], 0.95),

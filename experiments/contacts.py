@@ -64,7 +64,7 @@ class Case:
         identified: True if the controller assumes the friction of `gears`.
         sensed: True if servos report their load, with errors up to 10 % and 1 % noise.
         delay: Delay of readings and commands, known to the controller [ticks].
-        told: Further options of `pliant.ContactEstimator`, which replace those of `options`.
+        estimator: Further options of `pliant.ContactEstimator`, which replace those of `options`.
     """
 
     name: str
@@ -76,12 +76,12 @@ class Case:
     identified: bool = False
     sensed: bool = False
     delay: tuple[int, int] = (0, 0)
-    told: Mapping[str, Any] = field(default_factory=dict)
+    estimator: Mapping[str, Any] = field(default_factory=dict)
 
     def options(self) -> dict[str, Any]:
         """Return the options of `pliant.ContactEstimator`, with the case's largest errors."""
         known = {"kp_error": max(self.kp, 0.02), "gravity_error": 0.02, "load_error": 0.1}
-        return {"friction_error": max(self.friction, 0.05), **known, **self.told}
+        return {"friction_error": max(self.friction, 0.05), **known, **self.estimator}
 
 
 @dataclass(frozen=True)
@@ -89,13 +89,13 @@ class Record:
     """Record of one run, with one row per reading.
 
     Attributes:
-        felt: Estimated force [N] and torque [N·m] on the tool in base axes (N, 6).
-        bound: Uncertainty of `felt` (N, 6).
+        wrench: Estimated force [N] and torque [N·m] on the tool in base axes (N, 6).
+        bound: Uncertainty of `wrench` (N, 6).
         truth: True force and torque on the tool in the period before the reading (N, 6).
         evidence: Largest ratio of a joint's torque residual to its uncertainty (N,).
     """
 
-    felt: Array
+    wrench: Array
     bound: Array
     truth: Array
     evidence: Array
@@ -343,7 +343,7 @@ class Rule:
             out = (record.evidence > self.size)[:, None]
         else:
             scale = record.bound[:, :3] if self.kind == "guarded" else 1.0
-            out = np.abs(record.felt[:, :3]) > self.size * scale
+            out = np.abs(record.wrench[:, :3]) > self.size * scale
         out[:START] = False
         return out
 
@@ -409,7 +409,7 @@ def least_silent(free: Sequence[Record], columns: slice) -> float:
     """
     threshold = 0.0
     for record in free:
-        force = np.abs(record.felt[START:, columns])
+        force = np.abs(record.wrench[START:, columns])
         lasting = np.lib.stride_tricks.sliding_window_view(force, READINGS, axis=0).min(axis=-1)
         threshold = max(threshold, float(lasting.max()))
     return threshold
@@ -448,7 +448,7 @@ def evaluate(
         case=case,
         rule=rule,
         alarms=sum(len(events(c)) for record in free for c in rule.beyond(record).T),
-        hours=sum(len(record.felt) for record in free) / RATE / 3600.0,
+        hours=sum(len(record.wrench) for record in free) / RATE / 3600.0,
         strong=strong,
         missed=missed_count / max(strong, 1),
         seen=seen_count / max(len(contacts), 1),
@@ -467,7 +467,7 @@ def estimate_errors(free: Sequence[Record], contacts: Sequence[Record]) -> dict[
     """
     out = {}
     for name, records in (("free", free), ("contact", contacts)):
-        error = np.concatenate([(r.felt - r.truth)[START:, :3] for r in records])
+        error = np.concatenate([(r.wrench - r.truth)[START:, :3] for r in records])
         bound = np.concatenate([r.bound[START:, :3] for r in records])
         out[f"{name} rms"] = float(np.sqrt((error**2).mean()))
         out[f"{name} bound"] = float(np.median(bound))
@@ -547,7 +547,7 @@ OTHERS = (
     Case("gears as they are", gears=True),
     Case("load reported", sensed=True),
     Case("load reported, gears as they are", sensed=True, gears=True),
-    Case("gears as they are, told so", gears=True, told={"friction_error": 2.0}),
+    Case("gears as they are, told so", gears=True, estimator={"friction_error": 2.0}),
     Case("gears as they are, identified ±30 %", gears=True, identified=True),
     Case("so101", arm="so101"),
 )

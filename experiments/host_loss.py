@@ -56,9 +56,9 @@ class HostLossPush:
         pose: Index among the arm's poses.
         axis: Name of the dragged axis.
         sign: Direction of the drag, 1 or -1.
-        leaned: True if a hand pushed the arm along the soft axis before the host loss.
-        said: `AxisReport.host_loss_force`, as reported after the last step [N or N·m].
-        felt: Largest measured force on the hand [N or N·m].
+        is_pushed: True if a hand pushed the arm along the soft axis before the host loss.
+        reported: `AxisReport.host_loss_force`, as reported after the last step [N or N·m].
+        measured: Largest measured force on the hand [N or N·m].
         at: Distance by which the tool had moved at the largest force [m or rad].
         hand: Force at which the hand ends the drag [N or N·m].
     """
@@ -67,26 +67,26 @@ class HostLossPush:
     pose: int
     axis: str
     sign: float
-    leaned: bool
-    said: float
-    felt: float
+    is_pushed: bool
+    reported: float
+    measured: float
     at: float
     hand: float
 
     @property
-    def walled(self) -> bool:
+    def is_limited(self) -> bool:
         """True if both measured and reported force reach the force `hand`, which ends the drag."""
-        return self.felt >= self.hand and self.said >= self.hand
+        return self.measured >= self.hand and self.reported >= self.hand
 
     @property
     def ratio(self) -> float:
         """Ratio of measured to reported force."""
-        return self.felt / self.said
+        return self.measured / self.reported
 
     @property
     def above(self) -> float:
         """Measured minus reported force [N or N·m]."""
-        return self.felt - self.said
+        return self.measured - self.reported
 
     @property
     def allowed(self) -> bool:
@@ -136,9 +136,9 @@ class Bench:
             pose=pose,
             axis=axis,
             sign=sign,
-            leaned=leans,
-            said=report.axes[axis].host_loss_force[side],
-            felt=force,
+            is_pushed=leans,
+            reported=report.axes[axis].host_loss_force[side],
+            measured=force,
             at=distance,
             hand=self.hand[kind],
         )
@@ -227,7 +227,7 @@ def text(pushes: Sequence[HostLossPush]) -> str:
             selected = [m for m in pushes if m.arm == arm and AXES.index(m.axis) // 3 == kind]
             if not selected:
                 continue
-            not_walled = [m for m in selected if not m.walled]
+            not_walled = [m for m in selected if not m.is_limited]
             low, middle, high = np.quantile([m.ratio for m in not_walled], (0.05, 0.5, 0.95))
             above, walled = [m.above for m in not_walled], len(selected) - len(not_walled)
             ratios = (low, middle, high, max(m.ratio for m in not_walled))

@@ -507,7 +507,7 @@ class CapChapter:
                     "sign": p.sign,
                     "cap": p.cap,
                     "promise": p.promise,
-                    "measured": p.felt,
+                    "measured": p.measured,
                 }
                 for p in pushes
             ],
@@ -880,7 +880,7 @@ def draw_promises(pushes: Sequence[Promise], folder: Path) -> None:
                 is_rotation = AXES.index(name) > 2
                 ax.plot(
                     [p.promise / p.cap for p in axis_pushes],
-                    [p.felt / p.cap for p in axis_pushes],
+                    [p.measured / p.cap for p in axis_pushes],
                     "^" if is_rotation else "o",
                     markersize=5,
                     markerfacecolor="none" if is_rotation else AXIS_COLOURS[name],

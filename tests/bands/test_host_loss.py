@@ -21,7 +21,7 @@ POSES = [
 @pytest.mark.parametrize(("name", "pose"), POSES)
 def test_a_hand_meets_what_the_report_said(name, pose):
     for push in Bench(load(name)).pushes(pose):
-        if not push.walled:
+        if not push.is_limited:
             assert push.allowed, push
             assert push.ratio > 1.0 - MAX_SHORTFALL, push
 
@@ -31,11 +31,11 @@ def test_max_host_loss_force_holds_as_reported(pose):
     settings = pliant.Settings(axes={"y": pliant.Axis(soft=5.0, firm=10.0)})
     bench = Bench(load("arm7"), settings)
     free = bench.push(pose, "y", 1.0)
-    largest = free.said - 2.0  # [N]
+    largest = free.reported - 2.0  # [N]
     bounded = Bench(
         load("arm7"),
         settings.replace(torque_limits=pliant.TorqueLimits(max_host_loss_force=largest)),
     ).push(pose, "y", 1.0)
-    assert bounded.said <= largest
-    assert bounded.felt < free.felt - 1.0
+    assert bounded.reported <= largest
+    assert bounded.measured < free.measured - 1.0
     assert bounded.allowed

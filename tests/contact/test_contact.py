@@ -153,7 +153,7 @@ def test_free_motion_stays_within_the_bound_and_strong_contacts_are_seen():
 
 def test_a_run_repeats():
     first, second = (Job(Case("short"), 3, 1.0).run() for _ in range(2))
-    assert (first.felt == second.felt).all()
+    assert (first.wrench == second.wrench).all()
 
 
 @pytest.mark.full
