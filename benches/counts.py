@@ -138,12 +138,12 @@ def regressions(counts: Counts, stored: Counts) -> list[str]:
     """Return a sentence for every stage whose count exceeds the stored one by over `GROWTH`."""
     messages = []
     for path, stages in counts.items():
-        for stage, count in stages.items():
+        for stage, number in stages.items():
             before = stored.get(path, {}).get(stage)
-            if before is not None and count > (1.0 + GROWTH) * before:
-                growth = count / before - 1.0
+            if before is not None and number > (1.0 + GROWTH) * before:
+                growth = number / before - 1.0
                 messages.append(
-                    f"{stage} ({path}) takes {count:.0f} instructions, {growth:.1%} more than the "
+                    f"{stage} ({path}) takes {number:.0f} instructions, {growth:.1%} more than the "
                     f"{before:.0f} stored; {GROWTH:.0%} is the bound"
                 )
     return messages
@@ -153,10 +153,10 @@ def table(counts: Counts, stored: Counts) -> str:
     """Return a text table of the counts, with their changes from the stored counts."""
     lines = []
     for path, stages in counts.items():
-        for stage, count in stages.items():
+        for stage, number in stages.items():
             before = stored.get(path, {}).get(stage)
-            change = f"{count / before - 1.0:+7.1%}" if before else "   (new)" if stored else ""
-            lines.append(f"{path:10} {stage:26} {count:9.1f} instructions a call {change}")
+            change = f"{number / before - 1.0:+7.1%}" if before else "   (new)" if stored else ""
+            lines.append(f"{path:10} {stage:26} {number:9.1f} instructions a call {change}")
     return "\n".join(lines)
 
 

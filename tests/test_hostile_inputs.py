@@ -256,7 +256,7 @@ def running():
 @given(data=st.data())
 def test_pickles_with_other_numbers(running, data):
     controller, q, target = running
-    make, (model, settings, servos, numbers) = controller.__reduce__()
+    make, (model, law_settings, servos, numbers) = controller.__reduce__()
     numbers = list(numbers)
     state = numbers[-1] = numbers[-1].copy()
     for _ in range(data.draw(st.integers(0, 4))):
@@ -265,7 +265,7 @@ def test_pickles_with_other_numbers(running, data):
         index = data.draw(st.integers(0, len(numbers) - 1))
         numbers[index] = data.draw(VALUES)
     try:
-        other = make(model, settings, servos, tuple(numbers))
+        other = make(model, law_settings, servos, tuple(numbers))
         command = other.step(q, target)
     except (pliant.PliantError, TypeError, ValueError, OverflowError) as error:
         assert len(str(error)) > 5  # noqa: PT017

@@ -225,9 +225,9 @@ def test_notices_are_of_the_crates_that_are_linked():
         import notices
     finally:
         sys.path.pop(0)
-    said = (ROOT / "THIRD_PARTY_LICENSES").read_text(encoding="utf-8")
-    assert said == notices.notices(), "the crates changed: make notices"
-    assert "Toshiki Teramura" in said
+    licenses = (ROOT / "THIRD_PARTY_LICENSES").read_text(encoding="utf-8")
+    assert licenses == notices.notices(), "the crates changed: make notices"
+    assert "Toshiki Teramura" in licenses
 
 
 def test_wheel_works_away_from_the_sources(wheel, tmp_path):

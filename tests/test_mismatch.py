@@ -117,39 +117,60 @@ def cases():
         yield f"float {kp}", plant(kp=kp), lambda kp=kp: hand_guiding.guide("so101", 0, kp)
     for arm in teaching.ARMS:
         yield f"teach {arm}", plant(kp=0.8), lambda arm=arm: teaching.replay(arm, 0.8, True, 1.0)
-    for one in (*campaign.DISTURBANCES, *campaign.gears("arm7")):
-        if one.wrong or one.payload or (one.gears is not None and not one.gears_known):
-            gap = plant(kp=one.kp, payload=one.payload, gears=one.gears)
-            yield f"campaign {one.name}", gap, lambda one=one: promise(one)
+    for condition in (*campaign.DISTURBANCES, *campaign.gears("arm7")):
+        if (
+            condition.wrong
+            or condition.payload
+            or (condition.gears is not None and not condition.gears_known)
+        ):
+            gap = plant(kp=condition.kp, payload=condition.payload, gears=condition.gears)
+            yield f"campaign {condition.name}", gap, lambda condition=condition: promise(condition)
     for case in (contacts.MAIN, *contacts.OTHERS):
         if case.friction or case.kp:
             gap, bench = contact_gap(case), contacts.Bench(case)
             yield f"contact {case.name}", gap, lambda bench=bench: bench.contact(0)
-    for name, one in presets.UNDER.items():
+    for name, condition in presets.UNDER.items():
         if "assumed" not in name:
             continue
         for preset, (law, scene) in presets.SCENES.items():
-            yield f"{preset} {name}", under(one), lambda o=one, law=law, s=scene: s(law, o)
+            yield (
+                f"{preset} {name}",
+                under(condition),
+                lambda o=condition, law=law, s=scene: s(law, o),
+            )
     for entry in goals._ENTRIES:
-        tried = any(second is not None for _, second in entry.goals.values())
-        for one in (goals.UNCERTAIN[0], goals.UNCERTAIN[2]) if tried else ():
-            yield f"goals {entry.scenario}", under(one), lambda e=entry, o=one: e.measure(o)
-    for one in goals.rate_conditions():
-        if one.believed == 1.0:
+        has_second_goal = any(second is not None for _, second in entry.goals.values())
+        for condition in (goals.UNCERTAIN[0], goals.UNCERTAIN[2]) if has_second_goal else ():
+            yield (
+                f"goals {entry.scenario}",
+                under(condition),
+                lambda e=entry, o=condition: e.measure(o),
+            )
+    for condition in goals.rate_conditions():
+        if condition.believed == 1.0:
             continue
         yield (
-            f"rates {one}",
-            under(one),
-            lambda one=one: disturbances.drag(controllers.cap(), DRAG_15N, conditions=one),
+            f"rates {condition}",
+            under(condition),
+            lambda condition=condition: disturbances.drag(
+                controllers.cap(), DRAG_15N, conditions=condition
+            ),
         )
-    for one in (Conditions(gears=GEARS), Conditions(gears=GEARS, gears_known=True, believed=0.7)):
-        yield f"gears {one.believed}", under(one), lambda one=one: goals.door("door")(one)
-    for name, one in comparison._stresses(NOMINAL).items():
+    for condition in (
+        Conditions(gears=GEARS),
+        Conditions(gears=GEARS, gears_known=True, believed=0.7),
+    ):
+        yield (
+            f"gears {condition.believed}",
+            under(condition),
+            lambda condition=condition: goals.door("door")(condition),
+        )
+    for name, condition in comparison._stresses(NOMINAL).items():
         if name != "stall":
             yield (
                 f"gears {name}",
-                stress_gap(one),
-                lambda o=one: disturbances.drag(controllers.cap(), conditions=o),
+                stress_gap(condition),
+                lambda o=condition: disturbances.drag(controllers.cap(), conditions=o),
             )
     for name, kp, friction, _ in steps.DISTURBED:
         if (kp, friction) != (1.0, 1.0):
@@ -161,8 +182,8 @@ def cases():
                 gap,
                 lambda s=step, law=law, o=options: steps.run("so101", s, law, o),
             )
-    wrong = {"kp": 1.25, "friction": 1.4, "damping": 1.3, "delay": 0.02}
-    yield "identified, rows", plant(**wrong), identification.rows
+    scales = {"kp": 1.25, "friction": 1.4, "damping": 1.3, "delay": 0.02}
+    yield "identified, rows", plant(**scales), identification.rows
     believing = identification.AssumedTable(
         table=identification.believed(pliant.robots.arm7()),
         delay=(1, 1),
@@ -170,7 +191,7 @@ def cases():
     )
     yield (
         "a wrong table",
-        plant(**wrong),
+        plant(**scales),
         lambda: doors.open_door(controllers.cap, conditions=believing),
     )
     for example, differs in {

@@ -74,8 +74,8 @@ def test_version_agrees_everywhere(clone):
 
 
 def date(clone, text):
-    heading, told = release_check.first_heading()
-    change(clone / "CHANGELOG.md", f"## [{heading}] - {told}", f"## [{heading}] - {text}")
+    heading, stated = release_check.first_heading()
+    change(clone / "CHANGELOG.md", f"## [{heading}] - {stated}", f"## [{heading}] - {text}")
 
 
 def test_tag_is_the_version_and_the_changelog_is_dated(clone):

@@ -192,8 +192,8 @@ def is_command(text: str) -> bool:
 
 
 def test_commands_exist_with_their_flags():
-    candidates = [words for text, file in texts().items() for words in commands(text, file)]
-    assert len([words for words in candidates if command_of(words.split())[0]]) > 20
+    candidates = [command for text, file in texts().items() for command in commands(text, file)]
+    assert len([command for command in candidates if command_of(command.split())[0]]) > 20
     assert invalid_remedies(commands, is_command) == []
 
 
@@ -260,10 +260,10 @@ def members(name: str) -> list[object]:
         item for module in MODULES for item in vars(module).values() if isinstance(item, type)
     }
     lazy = {
-        getattr(module, word)
+        getattr(module, name_)
         for module in MODULES
-        for word in getattr(module, "__all__", ())
-        if isinstance(getattr(module, word, None), type)
+        for name_ in getattr(module, "__all__", ())
+        if isinstance(getattr(module, name_, None), type)
     }
     return matches + [getattr(item, name) for item in classes | lazy if hasattr(item, name)]
 

@@ -50,14 +50,14 @@ def _drawn(arm: str) -> int:
 
 def _by_arm(outcomes: Mapping[str, Sequence[Promise]]) -> dict[str, list[Promise]]:
     by_arm: dict[str, list[Promise]] = {}
-    for key, promises in outcomes.items():
-        by_arm.setdefault(key.split()[0], []).extend(promises)
+    for key, results in outcomes.items():
+        by_arm.setdefault(key.split()[0], []).extend(results)
     return by_arm
 
 
 def measure(outcomes: Mapping[str, Sequence[Promise]]) -> Numbers:
     """Return the attributes `FIGURES` of the statistics (`campaign.Row`) of each arm."""
-    rows = {a: table.summary(a, "nominal", promises) for a, promises in _by_arm(outcomes).items()}
+    rows = {a: table.summary(a, "nominal", results) for a, results in _by_arm(outcomes).items()}
     return {arm: {name: getattr(row, name) for name in FIGURES} for arm, row in rows.items()}
 
 

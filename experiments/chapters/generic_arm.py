@@ -621,7 +621,7 @@ class DragChapter:
             **kinds,
         }
 
-    def _one(self, arm: Arm, trace: Trace, strengths: Strengths) -> dict[str, float]:
+    def _one(self, arm: Arm, trace: Trace, caps: Strengths) -> dict[str, float]:
         axis = AXES.index(arm.soft)
         others = [row for row in arm.rows if row < 3 and row != axis]
         is_still = trace.between(*metrics.HELD)
@@ -637,7 +637,7 @@ class DragChapter:
             "moved": metrics.moved(trace, axis),
             "force": metrics.largest(forces),
             "held": abs(float(forces[is_still].mean())),
-            "promised": c * strengths.soft + (1.0 - c) * strengths.firm,
+            "promised": c * caps.soft + (1.0 - c) * caps.firm,
             "friction": float(np.abs(inverse) @ np.asarray(arm.servos.friction)),
             "give": max(
                 (float(jacobian[row] ** 2 @ (1.0 / np.asarray(arm.servos.kp))) for row in others),

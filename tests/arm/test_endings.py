@@ -175,7 +175,7 @@ def test_a_program_that_blocks_after_ctrl_c_is_lowered():
     ],
 )
 def test_no_signals_but_two_deliberate_interrupts_leave_torque_on(signals, code):
-    stdout, stderr, left = run(
+    stdout, stderr, exit_code = run(
         f"""
         def send():
             for step in {signals!r}[1:]:
@@ -189,7 +189,7 @@ def test_no_signals_but_two_deliberate_interrupts_leave_torque_on(signals, code)
         """
     )
     assert stdout == ["torque", "off", "down"], stderr
-    assert left in {code, -signal.SIGINT if code == 130 else code}
+    assert exit_code in {code, -signal.SIGINT if code == 130 else code}
     assert "torque OFF" in stderr
 
 

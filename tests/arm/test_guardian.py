@@ -142,8 +142,8 @@ except pliant.PliantError as error:
 pathlib.Path({str(result)!r}).write_text(text)
 """
     shell = ("/bin/sh", "-c", 'exec "$@" <&- >&- 2>&-', "sh")
-    ended = subprocess.run([*shell, sys.executable, "-c", code], timeout=100, check=False)
-    assert (ended.returncode, result.read_text()) == (0, "True True")
+    process = subprocess.run([*shell, sys.executable, "-c", code], timeout=100, check=False)
+    assert (process.returncode, result.read_text()) == (0, "True True")
     assert not bus.call("recorder.has_torque")
 
 
@@ -372,9 +372,9 @@ def test_registers_and_zeros_are_those_of_the_ended_program_on_two_ports(monkeyp
         assert copy.enabled.all()
         assert np.flatnonzero(copy.torque_unknown).tolist() == [2]
         others = [0, 1, 3, 4]
-        found = [emulated.servo(joint + 1).get("goal_position") for joint in others]
+        positions = [emulated.servo(joint + 1).get("goal_position") for joint in others]
         rows = copy._codec.encode(others, np.nan_to_num(goals), [0.5] * 5, None, 0.0)
-        assert [row[0] for row in rows] == found
+        assert [row[0] for row in rows] == positions
         assert limits[others] == pytest.approx(0.5, abs=0.02)
         copy.write(np.nan_to_num(goals) + 0.01, [0.5] * 5)
         emulated.sync()

@@ -70,8 +70,8 @@ def test_a_follower_lags_by_less_than_70_ms(name, joint):
 def test_a_wrong_stiffness_costs_lag_and_sag_only(kp):
     with Mismatch(plant=Parameters(kp=kp), assumed=Parameters()):
         lag, gain, others = follow("so101", 1, math.radians(25.0), kp_scale=kp)
-    right, _, _ = follow("so101", 1, math.radians(25.0))
-    assert (lag > right) == (kp < 1.0)
+    reference_lag, _, _ = follow("so101", 1, math.radians(25.0))
+    assert (lag > reference_lag) == (kp < 1.0)
     assert 0.85 < gain < 1.15
     assert others < math.radians(6.0)  # the wrong stiffness makes the arm sag
 
@@ -117,7 +117,7 @@ def test_a_push_above_the_force_and_friction_moves_the_arm(axis):
 @pytest.mark.slow
 def test_a_target_inside_the_table_is_pressed_with_the_force():
     """Compare a follower with `max_force` and one without a limit, with equal joint targets."""
-    held = {}
+    contact_forces = {}
     for max_force in (2.0, math.inf):
         with connect("so101", table=0.0) as arm:
             model = arm.model
@@ -133,9 +133,9 @@ def test_a_target_inside_the_table_is_pressed_with_the_force():
             for tick in pliant.Loop(arm, follower, rate=100.0, duration=4.0):
                 tick.step(start + (q - start) * min(1.0, tick.time / 1.5))
                 forces.append(arm.drive.plant.fixtures[0].force)
-            held[max_force] = np.median(forces[-100:])
-    assert 1.0 < held[2.0] < 2.0 + 1.5  # gear friction adds to the limit
-    assert held[math.inf] > 1.5 * held[2.0]
+            contact_forces[max_force] = np.median(forces[-100:])
+    assert 1.0 < contact_forces[2.0] < 2.0 + 1.5  # gear friction adds to the limit
+    assert contact_forces[math.inf] > 1.5 * contact_forces[2.0]
 
 
 def test_arguments_are_checked():

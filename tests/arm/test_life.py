@@ -29,7 +29,7 @@ from pliant.sim import Plant, SimDrive
 HANDLED = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
 NUMBERS = [getattr(signal, name) for name in HANDLED if hasattr(signal, name)]
 #: Times between two signals [s] that count as one request (`REPEATED`) or as two (`DELIBERATE`).
-REPEATED, DELIBERATE = 0.1, 2.0
+REPEAT_GAP, DELIBERATE_GAP = 0.1, 2.0
 LOW = np.array([0.0, 1.5, 0.0, 0.0, 0.0])
 #: Number of loop iterations of the stand-in for a descent in these tests.
 ITERATIONS = 12
@@ -111,7 +111,8 @@ class Life(RuleBasedStateMachine):
         data=st.data(),
         park=st.booleans(),
         arrivals=st.lists(
-            st.tuples(st.sampled_from(NUMBERS), st.sampled_from([REPEATED, DELIBERATE])), max_size=4
+            st.tuples(st.sampled_from(NUMBERS), st.sampled_from([REPEAT_GAP, DELIBERATE_GAP])),
+            max_size=4,
         ),
     )
     def lower(self, data, park, arrivals):
@@ -156,7 +157,7 @@ class Life(RuleBasedStateMachine):
         self.last = last
         return kind, False
 
-    @rule(number=st.sampled_from(NUMBERS), gap=st.sampled_from([REPEATED, DELIBERATE]))
+    @rule(number=st.sampled_from(NUMBERS), gap=st.sampled_from([REPEAT_GAP, DELIBERATE_GAP]))
     def signal(self, number, gap):
         self.wait(gap)
         is_repeat = self.last[0] == number and self.time - self.last[1] < 0.5
@@ -181,7 +182,7 @@ class Life(RuleBasedStateMachine):
 
         def run():
             with first, second:
-                self.time += DELIBERATE
+                self.time += DELIBERATE_GAP
                 signal.raise_signal(number)
 
         with pytest.raises(expected(number)):

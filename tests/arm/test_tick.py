@@ -59,11 +59,11 @@ def test_limits_equal_their_formula(supply, lead):
             goal, limit, gravity, position, other, ramp=ramp, ramp_start=ramp_start, lead=lead
         )
         # Goals are bounded by position limits and lead.
-        need, largest = gravity / kp[chain], max_torque[chain] / kp[chain]
-        below, above = (
-            (largest, largest) if lead else (np.maximum(-need, 0.0), np.maximum(need, 0.0))
+        required, largest = gravity / kp[chain], max_torque[chain] / kp[chain]
+        lower_lead, upper_lead = (
+            (largest, largest) if lead else (np.maximum(-required, 0.0), np.maximum(required, 0.0))
         )
-        clipped_goal = np.clip(goal, model.lower - below, model.upper + above)
+        clipped_goal = np.clip(goal, model.lower - lower_lead, model.upper + upper_lead)
         assert goals[chain] == pytest.approx(clipped_goal, abs=1e-12)
         assert (goals[4], limits[4]) == (other[0, 0], min(other[0, 1], thermal.torque_ceiling()[4]))
         # Torque limits are bounded by the ramp after torque on, heat and supply current.
@@ -113,7 +113,7 @@ def test_a_reading_updates_filter_and_heat_as_single_calls_do():
     expected = PositionFilter(np.full(size, 0.5))
     suspects, heat = set(), np.zeros(size)
     for cycle in range(300):
-        now, dt = 0.01 * cycle + 0.003, 0.5 * (cycle % 4)
+        reading_time, dt = 0.01 * cycle + 0.003, 0.5 * (cycle % 4)
         position = 0.1 * rng.random(size) + 2.0 * (rng.random(size) < 0.05)
         ok = rng.random(size) > 0.2
         time = 0.01 * cycle + 0.001 * rng.random(size)
@@ -121,12 +121,12 @@ def test_a_reading_updates_filter_and_heat_as_single_calls_do():
         load = None if cycle % 3 else rng.normal(0.0, 0.1, size)
         mask, q, age, oldest, off_chain, is_suspect = limiter.update(
             positions, position, ok, time, load,
-            goal=goal, limit=limit, dt=dt, now=now, max_jumps=2, max_heat=0.9,
+            goal=goal, limit=limit, dt=dt, now=reading_time, max_jumps=2, max_heat=0.9,
         )  # fmt: skip
         is_accepted = expected.update(position, ok, time)
         assert mask.tolist() == is_accepted[chain].tolist()
         np.testing.assert_array_equal(q, expected.position[chain])
-        np.testing.assert_array_equal(age, now - expected.time[chain])
+        np.testing.assert_array_equal(age, reading_time - expected.time[chain])
         assert oldest == expected.time[chain].min()
         np.testing.assert_array_equal(off_chain, [expected.position[4]])
         torque = np.minimum(np.abs(np.nan_to_num(kp * (goal - expected.position))), limit)

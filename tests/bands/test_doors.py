@@ -61,12 +61,12 @@ def test_jacobian_forms_open_a_door_whose_handle_turns(law):
 
 
 def test_all_stiff_jams_and_pulls_hard():
-    rigid = doors.open_door(all_stiff)
-    assert rigid.angle < 35.0  # [deg], measured 22
-    assert rigid.force >= 2.0 * doors.open_door(controllers.cap).force
-    turning = doors.open_door(all_stiff, "door", "turning")
+    rigid_grip = doors.open_door(all_stiff)
+    assert rigid_grip.angle < 35.0  # [deg], measured 22
+    assert rigid_grip.force >= 2.0 * doors.open_door(controllers.cap).force
+    turning_grip = doors.open_door(all_stiff, "door", "turning")
     # Measured 4.0.
-    assert turning.force >= 2.0 * doors.open_door(controllers.rec, "door", "turning").force
+    assert turning_grip.force >= 2.0 * doors.open_door(controllers.rec, "door", "turning").force
 
 
 def test_cap_without_a_soft_axis_pulls_twice_as_hard():
@@ -78,7 +78,7 @@ def test_cap_without_a_soft_axis_pulls_twice_as_hard():
 def test_cap_opens_and_closes_by_resistance(scene, grip):
     result = doors.open_and_close(controllers.cap, scene, grip)
     assert len(result.ends) == 2
-    opened, closed = result.ends
-    assert opened == pytest.approx(45.0, abs=1.0)  # [deg], measured 45.1
-    assert closed == pytest.approx(0.0, abs=1.0)  # [deg], measured -0.2
+    open_angle, closed_angle = result.ends
+    assert open_angle == pytest.approx(45.0, abs=1.0)  # [deg], measured 45.1
+    assert closed_angle == pytest.approx(0.0, abs=1.0)  # [deg], measured -0.2
     assert result.force < 65.0  # [N], measured 53

@@ -30,7 +30,7 @@ def test_a_stiffer_hold_keeps_the_drift_with_overestimated_friction():
     ]
     assert [row.figure for row in rows] == ["force [N]", "drift [mm]"]
     assert all(row.met for row in rows)  # measured 7.36 N of 7.5, 3.33 mm of 4.0
-    (too_high,) = (one for one in goals.UNCERTAIN if one.believed > 1.0)
+    (too_high,) = (condition for condition in goals.UNCERTAIN if condition.believed > 1.0)
     with under(too_high):
         stiffer, default = (
             goals.dragged(controllers.cap(**options), DRAG_15N)(too_high)["drift [mm]"]

@@ -56,9 +56,9 @@ def test_paper_without_gravity_model_comes_back_with_eta_below_one():
     result = disturbances.drag(controllers.paper(10, eta=0.9), DRAG_15N)
     assert 0.09 <= result.moved <= 0.24  # [m], measured 0.13
     assert result.drift < 0.012  # [m], measured 0.0048
-    resting = result.trace.moved[result.trace.at(2.0), 1]
+    start = result.trace.moved[result.trace.at(2.0), 1]
     back = result.trace.moved[result.trace.at(6.0), 1]
-    assert abs(back - resting) < 0.015  # [m], from the tool's position when the hand came
+    assert abs(back - start) < 0.015  # [m], from the tool's position when the hand came
 
 
 def test_rec_without_adaptation():

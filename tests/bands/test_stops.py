@@ -60,14 +60,14 @@ def excursions(name, cap, ticks, law="cap"):
 @pytest.mark.parametrize("name", ARMS)
 def test_a_soft_axis_does_not_drive_a_joint_out_of_its_limits(name, ticks):
     for cap in ARMS[name][1]:
-        most, _, oscillation = excursions(name, cap, ticks)
-        assert most < ARMS[name][2]  # measured 0.017
+        largest, _, oscillation = excursions(name, cap, ticks)
+        assert largest < ARMS[name][2]  # measured 0.017
         assert oscillation < 1e-3
 
 
 def test_a_soft_axis_of_law_impedance_does_not_either():
-    most, _, _ = excursions("arm7", 20.0, 0, law="impedance")
-    assert most < 0.02
+    largest, _, _ = excursions("arm7", 20.0, 0, law="impedance")
+    assert largest < 0.02
 
 
 def test_gravity_is_carried_at_a_limit():

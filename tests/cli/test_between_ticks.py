@@ -67,8 +67,8 @@ def command(tmp_path):
         start = run_alone if backend == "emulator" else programs.run
         result = start("-c", PROGRAM.replace("{each}", statement), *arguments)
         assert result.stdout, result.stderr
-        code, loaded = json.loads(result.stdout.splitlines()[-1])
-        return code, loaded, result
+        code, modules = json.loads(result.stdout.splitlines()[-1])
+        return code, modules, result
 
     return run
 

@@ -78,7 +78,7 @@ def test_a_first_word_alone_lists_its_commands(prefix, flags, capsys):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "suggestion"),
+    ("argv", "suggestion"),
     [
         ("doctor so101", "servos doctor"),
         ("scna", "servos scan"),
@@ -88,8 +88,8 @@ def test_a_first_word_alone_lists_its_commands(prefix, flags, capsys):
         ("reply so101 wave.json", "replay"),
     ],
 )
-def test_an_unknown_command_gets_a_suggestion(arguments, suggestion, capsys):
-    assert main(arguments.split()) == 2
+def test_an_unknown_command_gets_a_suggestion(argv, suggestion, capsys):
+    assert main(argv.split()) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1
     assert f"did you mean `pliant {suggestion}`?" in error

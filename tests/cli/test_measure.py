@@ -162,12 +162,12 @@ def session(tmp_path_factory):
         gap,
         arm_of_unknown_servos(patch, folder) as (bus, arm, arm_config),
     ):
-        shown, data = run(bus, arm, arm_config, path, skipped=("swings every joint by 0.1",))
+        texts, data = run(bus, arm, arm_config, path, skipped=("swings every joint by 0.1",))
         assert is_limp(bus)
         bus.servo(2).put("torque_enable", 1)
         true = bus.servo(2).drive().stiffness
         assert true / arm.servos.kp[1] == pytest.approx(TORQUE_RATIO, rel=0.05)
-        return data, path, true, shown, bus.port
+        return data, path, true, texts, bus.port
 
 
 def test_the_weight_shows_a_wrong_stiffness_and_a_hidden_load(session):
@@ -234,9 +234,9 @@ def test_the_file_has_no_private_data(session):
 
 
 def test_every_step_says_first_what_arm_and_person_do(session):
-    shown = session[3]
-    assert len(shown) > 5
-    assert all(re.match(r"Next: .*\. You: .*", text) for text in shown)
+    texts = session[3]
+    assert len(texts) > 5
+    assert all(re.match(r"Next: .*\. You: .*", text) for text in texts)
 
 
 @pytest.mark.full
@@ -261,14 +261,14 @@ def test_ctrl_c_lowers_the_arm_and_the_next_session_continues(tmp_path, monkeypa
     path = tmp_path / "arm.json"
     skipped = ("swings", "yields along y")
     with arm_of_unknown_servos(monkeypatch, tmp_path, 0.0) as (bus, arm, arm_config):
-        shown, data = run(bus, arm, arm_config, path, skipped=skipped, stop="is lowered")
-        assert shown[-1] == "Ctrl-C"
+        texts, data = run(bus, arm, arm_config, path, skipped=skipped, stop="is lowered")
+        assert texts[-1] == "Ctrl-C"
         assert is_limp(bus)
         assert set(data["steps"]) == {"bus", "push", "loop"}
         pushes = data["steps"]["push"]
     with arm_of_unknown_servos(monkeypatch, tmp_path, 0.0) as (bus, arm, arm_config):
-        shown, data = run(bus, arm, arm_config, path, skipped=("swings",))
-        assert not any("yields along" in text for text in shown)
+        texts, data = run(bus, arm, arm_config, path, skipped=("swings",))
+        assert not any("yields along" in text for text in texts)
         assert data["steps"]["push"] == pushes
         assert "ending" in data["steps"]
 

@@ -138,8 +138,8 @@ def test_a_file_is_replaced_whole_or_not_at_all(tmp_path):
     with pytest.raises(OSError, match="disk full"):
         fail()
     assert contents(tmp_path) == {"wave.json": b"old"}
-    with replacing(path) as beside:
-        beside.write_text("new")
+    with replacing(path) as part:
+        part.write_text("new")
         assert path.read_text() == "old"
     assert contents(tmp_path) == {"wave.json": b"new"}
     assert path.stat().st_mode & 0o777 == 0o640

@@ -103,11 +103,11 @@ def test_mistakes_are_named_with_valid_values(text, message):
 
 
 @pytest.mark.parametrize(
-    ("rest", "message"),
+    ("rest_q", "message"),
     [([0.0, 0.0], r"life\.rest_q has shape \(2,\)"), ([0.0] * 4 + [90.0], "are these degrees")],
 )
-def test_a_rest_pose_of_another_arm_is_named_with_its_file(rest, message):
-    arm_config = config.parse(f"{SIM}[life]\nrest_q = {rest}", source="arm.toml")
+def test_a_rest_pose_of_another_arm_is_named_with_its_file(rest_q, message):
+    arm_config = config.parse(f"{SIM}[life]\nrest_q = {rest_q}", source="arm.toml")
     with pytest.raises(pliant.ConfigError, match=message) as error:
         pliant.connect(arm_config)
     assert str(error.value).startswith("arm.toml")
@@ -309,9 +309,9 @@ def test_a_bound_on_a_dead_host_reaches_the_servos_from_the_file():
     residuals, commands = [], []
     for bound in ("", "torque_limits.max_host_loss_force = 44.0\n"):
         arm_config = config.parse(text + bound)
-        still = pliant.connect(arm_config)
-        still.drive.plant.reset(work)
-        with still as arm:
+        connected = pliant.connect(arm_config)
+        connected.drive.plant.reset(work)
+        with connected as arm:
             controller = pliant.Controller(arm.model, arm_config.settings(), arm.servos)
             for tick in pliant.Loop(arm, controller, duration=0.5):
                 command = controller.step_joints(tick.q, work, dt=tick.dt)

@@ -205,7 +205,7 @@ def test_calls_come_once_and_the_first_reaction_matters_most():
     assert watch.active is watch.reactions[1]
     targets(watch, 15)
     assert watch.stopped
-    assert [moment.time for moment in moments] == pytest.approx([0.1])
+    assert [entry.time for entry in moments] == pytest.approx([0.1])
     watch.reset()
     assert watch.active is None
     assert len(watch.log) == 0

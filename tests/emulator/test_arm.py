@@ -25,9 +25,9 @@ def mounts(**changes):
     return [changes.get(mount.joint, mount) for mount in result]
 
 
-def so101(made=None, q=POSE, **options):
-    made = mounts() if made is None else made
-    return emulate(pliant.robots.so101(), made, q, clock="steps", **options)
+def so101(mounted=None, q=POSE, **options):
+    mounted = mounts() if mounted is None else mounted
+    return emulate(pliant.robots.so101(), mounted, q, clock="steps", **options)
 
 
 def ask(emulator, request):
@@ -59,7 +59,7 @@ def test_positions_come_from_the_plant():
 
 
 def test_sign_zero_and_gear_turn_the_counts():
-    changed = {
+    options_by_joint = {
         NAMES[0]: Mount(joint=NAMES[0], model="STS3215", id=1, sign=-1),
         NAMES[1]: Mount(joint=NAMES[1], model="STS3215", id=2, zero=1000),
         NAMES[2]: Mount(joint=NAMES[2], model="STS3215", id=3, gear_ratio=2.0),
@@ -68,7 +68,7 @@ def test_sign_zero_and_gear_turn_the_counts():
         ),
     }
     per_rad = 4096 / (2 * np.pi)
-    result = counts(so101(mounts(**changed)))[:4]
+    result = counts(so101(mounts(**options_by_joint)))[:4]
     expected = [
         2048 - 0.2 * per_rad,
         1000 + 0.3 * per_rad,
@@ -106,8 +106,8 @@ def test_a_held_arm_is_let_go_when_all_its_joints_have_torque():
 def test_the_limit_in_the_register_is_the_limit_in_the_plant():
     emulator = so101()
     stall = emulator.servo(1).stall
-    far = counts(emulator) + 500
-    hold(emulator, 200, far)
+    goal = counts(emulator) + 500
+    hold(emulator, 200, goal)
     largest = np.zeros(5)
     for _ in range(50):
         emulator.world.advance(0.01)
@@ -157,7 +157,7 @@ def test_two_servos_share_a_joint_and_its_torque():
 
 def test_an_arm_of_current_limited_servos_holds_and_its_watchdog_stops_it():
     arm = pliant.robots.arm7()
-    made = [
+    mounted = [
         Mount(
             joint=name,
             model="XM540-W270" if k < 4 else "XM430-W350",
@@ -167,7 +167,7 @@ def test_an_arm_of_current_limited_servos_holds_and_its_watchdog_stops_it():
         for k, name in enumerate(arm.joint_names)
     ]
     pose = np.array([-0.13, -0.6, 0.72, -1.74, 0.93, 0.68, -0.17])
-    emulator = emulate(arm, made, pose, clock="steps")
+    emulator = emulate(arm, mounted, pose, clock="steps")
     ids = range(1, 8)
     assert ask(emulator, packet_2(0xFE, 3, bytes([*le16(64), 1]))) == b""
     emulator.world.advance(1.0)
@@ -178,9 +178,9 @@ def test_an_arm_of_current_limited_servos_holds_and_its_watchdog_stops_it():
     ask(emulator, packet_2(0xFE, 0x83, bytes([*le16(116), *le16(4)]) + block))
     emulator.world.advance(0.12)
     assert {emulator.servo(id).get("bus_watchdog") for id in ids} == {-1}
-    stopped = emulator.plant.q
+    final_q = emulator.plant.q
     emulator.world.advance(2.0)
-    assert np.abs(emulator.plant.q - stopped).max() < 0.3, "it stays about where it was"
+    assert np.abs(emulator.plant.q - final_q).max() < 0.3, "it stays about where it was"
     assert np.abs(emulator.plant.dq).max() < 0.02
 
 

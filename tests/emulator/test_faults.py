@@ -52,8 +52,8 @@ def test_corrupt_truncate_noise():
     line, faults = bus()
     intact = ask(line, p1(1, 2, 56, 2))
     faults.inject("corrupt", 1)
-    damaged = ask(line, p1(1, 2, 56, 2))
-    assert sum(bin(a ^ b).count("1") for a, b in zip(intact, damaged, strict=True)) == 1
+    reply = ask(line, p1(1, 2, 56, 2))
+    assert sum(bin(a ^ b).count("1") for a, b in zip(intact, reply, strict=True)) == 1
     faults.inject("truncate", 1)
     short = ask(line, p1(1, 2, 56, 2))
     assert 0 < len(short) < len(intact)

@@ -17,8 +17,12 @@ def line(*devices, **values):
     return serial_line
 
 
-def exchange(made, request):
-    return b"".join(d.data for d in made.feed(bytes.fromhex(request), 1_000_000)).hex(" ").upper()
+def exchange(serial_line, request):
+    return (
+        b"".join(d.data for d in serial_line.feed(bytes.fromhex(request), 1_000_000))
+        .hex(" ")
+        .upper()
+    )
 
 
 def test_p1_ping():
@@ -92,7 +96,7 @@ def test_p1_error_bits_of_the_status_example():
 PING = "FF FF FD 00 01 03 00 01 19 4E"
 PONG_1 = "FF FF FD 00 01 07 00 55 00 06 04 26 65 5D"
 PONG_2 = "FF FF FD 00 02 07 00 55 00 06 04 26 6F 6D"
-DONE = "FF FF FD 00 01 04 00 55 00 A1 0C"
+STATUS_OK = "FF FF FD 00 01 04 00 55 00 A1 0C"
 
 
 def pair(**values):
@@ -119,16 +123,16 @@ def test_p2_read():
 
 def test_p2_write():
     serial_line = pair()
-    assert exchange(serial_line, "FF FF FD 00 01 09 00 03 74 00 00 02 00 00 CA 89") == DONE
+    assert exchange(serial_line, "FF FF FD 00 01 09 00 03 74 00 00 02 00 00 CA 89") == STATUS_OK
     assert serial_line.servos[0].get("goal_position") == 512
 
 
 def test_p2_reg_write_and_action():
     serial_line = pair()
     serial_line.servos[0].put("operating_mode", 1)
-    assert exchange(serial_line, "FF FF FD 00 01 09 00 04 68 00 C8 00 00 00 AE 8E") == DONE
+    assert exchange(serial_line, "FF FF FD 00 01 09 00 04 68 00 C8 00 00 00 AE 8E") == STATUS_OK
     assert serial_line.servos[0].get("goal_velocity") == 0
-    assert exchange(serial_line, "FF FF FD 00 01 03 00 05 02 CE") == DONE
+    assert exchange(serial_line, "FF FF FD 00 01 03 00 05 02 CE") == STATUS_OK
     assert serial_line.servos[0].get("goal_velocity") == 200
 
 
@@ -141,7 +145,7 @@ def test_p2_factory_reset_is_refused():
 def test_p2_reboot():
     serial_line = pair()
     serial_line.servos[0].put("torque_enable", 1)
-    assert exchange(serial_line, "FF FF FD 00 01 03 00 08 2F 4E") == DONE
+    assert exchange(serial_line, "FF FF FD 00 01 03 00 08 2F 4E") == STATUS_OK
     assert not serial_line.servos[0].enabled
     assert exchange(serial_line, PING) == "", "deaf while it boots"
 

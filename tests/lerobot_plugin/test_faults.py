@@ -44,13 +44,13 @@ def test_a_bus_that_fails_lowers_the_arm_once_it_is_back(make, errors, monkeypat
     robot = make(rest_q=LOW_POSE)
     robot.connect()
     arm = arm_of(robot)
-    read = arm.drive.read
+    original_read = arm.drive.read
     is_broken = threading.Event()
 
     def unplugged():
         if is_broken.is_set():
             raise pliant.ServoError("unplugged")
-        return read()
+        return original_read()
 
     monkeypatch.setattr(arm.drive, "read", unplugged)
     is_broken.set()

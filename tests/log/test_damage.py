@@ -26,8 +26,8 @@ def recording(tmp_path_factory):
         controller = pliant.Controller(arm.model, pliant.Settings.soft("y", task="xyz"), arm.servos)
         q = arm.read().q
         for tick in pliant.Loop(arm, controller, duration=2.0, recorder=Recorder(path)):
-            turned = q + 0.2 * np.sin(tick.time) * np.eye(len(q))[0]
-            tick.step(arm.model.forward_kinematics(turned))
+            moved_q = q + 0.2 * np.sin(tick.time) * np.eye(len(q))[0]
+            tick.step(arm.model.forward_kinematics(moved_q))
     return path.read_bytes(), read(path)
 
 

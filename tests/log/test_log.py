@@ -26,28 +26,28 @@ def record(path, ticks=40, **options):
     """Record a run that uses every input of the controller once."""
     with bare_arm("arm7", q=START) as arm:
         settings = pliant.Settings.soft("y")
-        made = pliant.Controller(arm.model, settings, arm.servos)
+        recorded_controller = pliant.Controller(arm.model, settings, arm.servos)
         recorder = Recorder(path, **options)
         pose = arm.model.forward_kinematics(arm.read().q)
-        loop = pliant.Loop(arm, made, duration=ticks / 100.0, recorder=recorder)
+        loop = pliant.Loop(arm, recorded_controller, duration=ticks / 100.0, recorder=recorder)
         controller = loop.controller
         for tick in loop:
-            arguments = {"dt": tick.dt} if tick.index % 2 else {}
+            options_of_step = {"dt": tick.dt} if tick.index % 2 else {}
             if tick.index == 10:
                 controller.update(settings.replace(axes={"x": pliant.Axis(soft=3.0)}))
                 controller.set_payload(0.1, [0.0, 0.0, 0.05])
                 controller.set_gravity([0.1, 0.0, -9.8])
                 controller.set_delay(0.013)
             if tick.index > 15:
-                arguments["dq"] = 0.01 * np.sin(np.arange(7) + tick.index)
-                arguments["gradient"] = np.full(7, 0.1)
+                options_of_step["dq"] = 0.01 * np.sin(np.arange(7) + tick.index)
+                options_of_step["gradient"] = np.full(7, 0.1)
             if tick.index > 20:
-                arguments["twist"] = [0.0, 0.02, 0.0, 0.0, 0.0, 0.1]
+                options_of_step["twist"] = [0.0, 0.02, 0.0, 0.0, 0.0, 0.1]
             if tick.index == 30:
-                command = controller.step_joints(tick.q, tick.q + 0.01, **arguments)
+                command = controller.step_joints(tick.q, tick.q + 0.01, **options_of_step)
             else:
                 target = pliant.Pose(pose) if tick.index == 5 else pose
-                command = controller.step(tick.q, target, **arguments)
+                command = controller.step(tick.q, target, **options_of_step)
             tick.write(command)
         assert recorder.dropped == 0
     return read(path)
@@ -218,9 +218,9 @@ def test_memory_is_bounded(tmp_path):
         sender.send(1, bytes(1000))
     assert sender.dropped > 100
     assert len(sender._backlog) <= 10_000 + 2000
-    begun = time.monotonic()
+    start_time = time.monotonic()
     sender.finish(0.2)
-    assert time.monotonic() - begun < 5.0
+    assert time.monotonic() - start_time < 5.0
     os.close(end)
     os.close(start)
 

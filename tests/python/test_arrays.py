@@ -319,11 +319,11 @@ def test_kinematics_into_the_callers_arrays():
     assert same_bits(out[1], jacobian)
     with pytest.raises(pliant.ShapeError, match=r"out\[1\] has shape \(6, 6\), expected \(6, 7\)"):
         model.kinematics(q, out=(out[0], np.zeros((6, 6))))
-    for wrong in (np.zeros((6, 7), dtype=np.float32), np.zeros((7, 6)).T, _readonly(out[1])):
+    for array in (np.zeros((6, 7), dtype=np.float32), np.zeros((7, 6)).T, _readonly(out[1])):
         with pytest.raises(
             TypeError, match=r"out\[1\] must be a writable float64 array in C order"
         ):
-            model.kinematics(q, out=(out[0], wrong))
+            model.kinematics(q, out=(out[0], array))
     with pytest.raises(TypeError, match="out must be a pair"):
         model.kinematics(q, out=[out[0], out[1]])
 

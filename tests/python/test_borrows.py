@@ -73,16 +73,16 @@ NAMES = list(uses(*make_objects()))
 @pytest.mark.parametrize("name", NAMES)
 def test_arguments_may_use_the_controller_that_reads_them(name):
     controller, contact, target = make_objects()
-    use = uses(controller, contact, target)[name]
+    concurrent_call = uses(controller, contact, target)[name]
     calls = [
-        lambda: controller.step(Q, Accessor(use)),
-        lambda: controller.step(Array(use), target),
-        lambda: controller.step(Q, target, dq=Array(use)),
-        lambda: controller.step_joints(Q, Array(use)),
-        lambda: controller.reset(Array(use)),
-        lambda: controller.capture_gravity(Q, Array(use)),
-        lambda: contact.update(Array(use)),
-        lambda: contact.uncertainty_at(Array(use)),
+        lambda: controller.step(Q, Accessor(concurrent_call)),
+        lambda: controller.step(Array(concurrent_call), target),
+        lambda: controller.step(Q, target, dq=Array(concurrent_call)),
+        lambda: controller.step_joints(Q, Array(concurrent_call)),
+        lambda: controller.reset(Array(concurrent_call)),
+        lambda: controller.capture_gravity(Q, Array(concurrent_call)),
+        lambda: contact.update(Array(concurrent_call)),
+        lambda: contact.uncertainty_at(Array(concurrent_call)),
     ]
     for call in calls:
         call()
@@ -216,6 +216,6 @@ def test_a_description_is_read_once(tmp_path):
     pipe = tmp_path / "pipe.urdf"
     if hasattr(os, "mkfifo"):
         os.mkfifo(pipe)
-    for wrong in (pipe, tmp_path) if pipe.exists() else (tmp_path,):
+    for source in (pipe, tmp_path) if pipe.exists() else (tmp_path,):
         with pytest.raises(pliant.UrdfError, match="it is not a file"):
-            pliant.Model.from_urdf(wrong, tip="tool")
+            pliant.Model.from_urdf(source, tip="tool")

@@ -15,7 +15,7 @@ pin = pytest.importorskip("pinocchio", reason="PyPI `pin` is not installed: no i
 ROOT = Path(__file__).resolve().parents[2]
 ROBOTS = ROOT / ".." / "shared" / "robots"
 TOLERANCE = 1e-12
-DOWN = (1.0, -2.0, -9.0)  # gravity, along none of the base axes
+GRAVITY = (1.0, -2.0, -9.0)  # gravity, along none of the base axes
 
 
 class Oracle:
@@ -68,7 +68,7 @@ class Oracle:
         full = self.configuration(q)
         pin.forwardKinematics(self.pin, self.data, full)
         pin.updateFramePlacements(self.pin, self.data)
-        self.pin.gravity.linear = self.data.oMf[self.base].rotation @ np.array(DOWN)
+        self.pin.gravity.linear = self.data.oMf[self.base].rotation @ np.array(GRAVITY)
         return self.collect(pin.computeGeneralizedGravity(self.pin, self.data, full)[None])[0]
 
 
@@ -86,7 +86,7 @@ def _agree(actual, expected):
 
 def _compare(path, base=None, tip=None):
     text = path.read_text(encoding="utf-8")
-    model = pliant.Model.from_urdf(path, base=base, tip=tip, gravity=DOWN)
+    model = pliant.Model.from_urdf(path, base=base, tip=tip, gravity=GRAVITY)
     oracle = Oracle(model, text)
     for q in _samples(model):
         pose, jacobian = model.kinematics(q)

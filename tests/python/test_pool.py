@@ -71,10 +71,10 @@ POINTER = ctypes.POINTER(ctypes.c_double * 7)
 def test_every_view_of_an_array_protects_it(controller, q, target, field, view):
     make_view, read_view = VIEWS[view]
     run(controller, q, target, 3)
-    kept = make_view(getattr(controller.step(q, target), field))
-    before = read_view(kept)
+    array_view = make_view(getattr(controller.step(q, target), field))
+    before = read_view(array_view)
     run(controller, q + 0.1, target, 9)
-    assert read_view(kept) == before
+    assert read_view(array_view) == before
 
 
 def test_a_weak_reference_protects_an_array_too(controller, q, target):

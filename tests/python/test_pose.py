@@ -74,8 +74,8 @@ def test_pose_error_of_known_turns():
     np.testing.assert_allclose(
         pliant.functional.pose_error(actual, target), [-1, -2, -3, 0, 0, -3], atol=1e-14
     )
-    far = Pose.from_rotvec([0.0, 0.0, 0.0], [0.0, 0.0, -3.0])
-    shortest = pliant.functional.pose_error(actual, far)[5]
+    opposite = Pose.from_rotvec([0.0, 0.0, 0.0], [0.0, 0.0, -3.0])
+    shortest = pliant.functional.pose_error(actual, opposite)[5]
     assert shortest == pytest.approx(2.0 * np.pi - 6.0)
 
 

@@ -57,7 +57,7 @@ def test_max_host_loss_force_bounds_the_force_after_a_host_loss(model, q, offset
     assert report.max_host_loss_force == largest
     assert np.all(command.torque_limit <= free.torque_limit)
     assert np.all(command.torque_limit >= 1.1 * np.abs(model.gravity(q)) - 1e-12)
-    assert not [said for said in report.summary() if "max_host_loss_force" in said]
+    assert not [sentence for sentence in report.summary() if "max_host_loss_force" in sentence]
 
 
 def test_a_bound_below_the_share_of_the_weight_is_reported(model, q):
@@ -80,9 +80,9 @@ def test_a_bound_below_the_share_of_the_weight_is_reported(model, q):
         settings.replace(torque_limits=pliant.TorqueLimits(max_host_loss_force=issue.value)),
         q,
     )
-    for wrong in (0.0, -1.0, np.nan):
+    for value in (0.0, -1.0, np.nan):
         with pytest.raises(pliant.OutOfRangeError, match="max_host_loss_force"):
-            pliant.Settings(torque_limits=pliant.TorqueLimits(max_host_loss_force=wrong))
+            pliant.Settings(torque_limits=pliant.TorqueLimits(max_host_loss_force=value))
 
 
 def test_the_reduction_of_springs_and_dampers_by_delay_is_reported(model, q):
@@ -91,11 +91,11 @@ def test_the_reduction_of_springs_and_dampers_by_delay_is_reported(model, q):
     report = controller.report(q)
     assert report.damping_factor == controller.report(q).damping_factor <= 1.0
     controller.set_delay(0.1)
-    late = controller.report(q)
-    assert late.damping_factor < report.damping_factor
-    assert late.gain_factor < report.gain_factor
-    (sentence,) = [sentence for sentence in late.summary() if "damping" in sentence]
-    assert f"{late.damping_factor:.2f}"[:4] in sentence
+    delayed_report = controller.report(q)
+    assert delayed_report.damping_factor < report.damping_factor
+    assert delayed_report.gain_factor < report.gain_factor
+    (sentence,) = [sentence for sentence in delayed_report.summary() if "damping" in sentence]
+    assert f"{delayed_report.damping_factor:.2f}"[:4] in sentence
 
 
 def test_a_hold_raised_to_leave_room_is_reported(model, q):
@@ -204,9 +204,9 @@ def test_check_notes_a_stop_that_comes_before_the_whole_cap(model, q):
 
 
 def test_deviation_limits_are_reported(model, q):
-    held = pliant.Axis(deviation_limit=0.02, on_deviation_limit="wait")
+    limited_axis = pliant.Axis(deviation_limit=0.02, on_deviation_limit="wait")
     follows = pliant.Axis(deviation_limit=0.1)
-    settings = pliant.Settings(axes={"x": held, "yaw": follows, "y": pliant.Axis(soft=4.0)})
+    settings = pliant.Settings(axes={"x": limited_axis, "yaw": follows, "y": pliant.Axis(soft=4.0)})
     report = pliant.Controller(model, settings).report(q)
     limits = [report.axes[axis].deviation_limit[0] for axis in ("x", "y", "yaw")]
     np.testing.assert_array_equal(limits, (0.02, np.inf, 0.1))

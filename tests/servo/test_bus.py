@@ -207,12 +207,14 @@ def test_families_share_a_port_and_ports_an_arm(enabled):
         Device("XM540-W270", id=2, port="b", operating_mode=5, return_delay_time=0),
     ]
     with Emulator(parts, clock="steps") as bus:
-        one, two = bus.ports["main"], bus.ports["b"]
+        main_port, second_port = bus.ports["main"], bus.ports["b"]
         bounds = {"lower": -1.0, "upper": 1.0}
         specs = [
-            ServoSpec(name="pan", model="MX-64", id=1, port=one, **bounds),
-            ServoSpec(name="lift", model="XM540-W270", id=1, port=two, secondary=(2, -1), **bounds),
-            ServoSpec(name="wrist", model="STS3215-7.4V", id=2, port=one, **bounds),
+            ServoSpec(name="pan", model="MX-64", id=1, port=main_port, **bounds),
+            ServoSpec(
+                name="lift", model="XM540-W270", id=1, port=second_port, secondary=(2, -1), **bounds
+            ),
+            ServoSpec(name="wrist", model="STS3215-7.4V", id=2, port=main_port, **bounds),
         ]
         with ServoBus(specs, reply_timeout_min=0.1, clock=ManualClock(bus)) as servo_bus:
             limit = enabled(servo_bus)

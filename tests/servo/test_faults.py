@@ -68,12 +68,12 @@ def test_a_dead_servo_does_not_silence_the_others(emulated, enabled, kind):
             pass
         bus.unplug(2)
         others = np.array([True, False, True, True])
-        seen = [sample.ok for sample, _ in sweep(bus, servo_bus, limit, 12)]
-        assert all((ok == others).all() for ok in seen)
+        ok_by_tick = [sample.ok for sample, _ in sweep(bus, servo_bus, limit, 12)]
+        assert all((ok == others).all() for ok in ok_by_tick)
         bus.plug(2)
         bus.advance(0.5)
-        seen = [sample.ok for sample, _ in sweep(bus, servo_bus, limit, 12)]
-        assert seen[-1].all()
+        ok_by_tick = [sample.ok for sample, _ in sweep(bus, servo_bus, limit, 12)]
+        assert ok_by_tick[-1].all()
 
 
 def test_a_dead_servo_is_not_asked_in_every_cycle(emulated, enabled):
@@ -290,8 +290,8 @@ def test_a_supply_that_stays_too_low_is_a_fault(emulated, enabled):
         bus.supply(14.8)
         assert not faults(0.4)
         bus.supply(11.0)
-        found = faults(0.8)
-        assert any("its supply is 11.0 V and it needs 11.5 V" in text for text in found)
+        texts = faults(0.8)
+        assert any("its supply is 11.0 V and it needs 11.5 V" in text for text in texts)
 
 
 def test_a_pulled_adapter_ends_reading_and_writing_at_once(emulated, enabled):

@@ -203,7 +203,7 @@ def test_status_is_read_with_the_position_where_registers_are_near(
     n = 3
     with emulated(kind, n, clock="steps") as (bus, servo_bus):
         limit = enabled(servo_bus)
-        seen, cycles = {}, 4 * n
+        seen_faults, cycles = {}, 4 * n
         for cycle in range(cycles):
             if cycle == n:
                 before = servo_bus.counters["transactions"]
@@ -213,15 +213,15 @@ def test_status_is_read_with_the_position_where_registers_are_near(
             status = servo_bus.poll_status()
             bus.advance(0.01)
             if status is not None:
-                seen[status.name] = status
+                seen_faults[status.name] = status
         transactions = servo_bus.counters["transactions"] - before
         # Protocol 2.0 has the registers far apart: a request for the status in each cycle.
         assert transactions == pytest.approx(
             requests * (cycles - n), abs=0.4 * cycles if kind == "xm" else 0
         )
         if kind != "xm":
-            assert list(seen) == list(servo_bus.names)
-            limits = [status.limit for status in seen.values()]
+            assert list(seen_faults) == list(servo_bus.names)
+            limits = [status.limit for status in seen_faults.values()]
             assert limits == pytest.approx(limit, rel=0.05)
         assert servo_bus.counters["mismatches"] == 0
         bus.servo(2).put("torque_enable", 0)

@@ -112,8 +112,8 @@ def slide(creep, seconds=4.0):
 
 
 def test_joints_held_by_friction_slide_in_proportion_to_the_creep():
-    full, reduced = slide(1.0), slide(0.1)
-    assert full.max() > 1e-3
-    np.testing.assert_allclose(reduced[full > 1e-3], 0.1 * full[full > 1e-3], rtol=0.1)
+    default, slow = slide(1.0), slide(0.1)
+    assert default.max() > 1e-3
+    np.testing.assert_allclose(slow[default > 1e-3], 0.1 * default[default > 1e-3], rtol=0.1)
     with pytest.raises(OutOfRangeError, match="friction_creep must be in"):
         Plant(pliant.robots.so101(), friction_creep=0.0)

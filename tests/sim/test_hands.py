@@ -59,12 +59,12 @@ def test_hands_are_bounded_and_let_go(arm, grasp, floating, hand):
     plant = Plant(arm, scene=[hand])
     plant.reset(grasp)
     floating(plant, 450)
-    felt = plant.hands[0]
-    size = felt.peak_torque if isinstance(hand, Twist) else felt.peak_force
+    record = plant.hands[0]
+    size = record.peak_torque if isinstance(hand, Twist) else record.peak_force
     assert 0.1 < size <= hand.limit + 1e-12
     floating(plant, 100)
-    assert not felt.force.any()
-    assert not felt.torque.any()
+    assert not record.force.any()
+    assert not record.torque.any()
 
 
 def test_a_drag_gets_where_it_wants(arm, grasp, floating):

@@ -11,11 +11,11 @@ pytest.importorskip("mjviser", reason="the page needs mjviser: pip install 'plia
 class Script:
     """Stand-in for a `Link` with scripted messages.
 
-    `at` maps the number of a call of `messages()` to the messages that this call returns.
+    `by_call` maps the number of a call of `messages()` to the messages that this call returns.
     """
 
-    def __init__(self, at, every=3):
-        self.at, self.every = dict(at), every
+    def __init__(self, by_call, period=3):
+        self.at, self.every = dict(by_call), period
         self.calls = 0
         self.infos, self.snapshots, self.watchers = [], [], []
 
@@ -27,9 +27,9 @@ class Script:
     def due(self):
         return self.calls % self.every == 0
 
-    def send(self, word):
-        is_snapshot = hasattr(word, "qpos")
-        (self.snapshots if is_snapshot else self.infos).append(word)
+    def send(self, message):
+        is_snapshot = hasattr(message, "qpos")
+        (self.snapshots if is_snapshot else self.infos).append(message)
 
     @property
     def running(self):

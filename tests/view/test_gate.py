@@ -42,9 +42,9 @@ def test_socket_with_the_token_and_its_own_origin_gets_in(gate):
     assert open_socket(gate, f"/?token={gate.token}", Origin=PAGE_ORIGIN) is None
 
 
-@pytest.mark.parametrize("sent", ["", "wrong", "{}x", "é", "{0}&token={0}", "{0}&token=wrong"])
-def test_socket_without_the_token_is_refused(gate, sent):
-    assert refused(open_socket(gate, f"/?token={sent.format(gate.token)}", Origin=PAGE_ORIGIN))
+@pytest.mark.parametrize("headers", ["", "wrong", "{}x", "é", "{0}&token={0}", "{0}&token=wrong"])
+def test_socket_without_the_token_is_refused(gate, headers):
+    assert refused(open_socket(gate, f"/?token={headers.format(gate.token)}", Origin=PAGE_ORIGIN))
     assert refused(open_socket(gate, "/", Origin=PAGE_ORIGIN))
     assert refused(open_socket(gate, "/", Origin=PAGE_ORIGIN, Cookie=f"pliant-view={gate.token}"))
 

@@ -78,9 +78,9 @@ class Quick:
     def due(self):
         return self.link.due()
 
-    def send(self, word):
+    def send(self, message):
         self.sent += 1
-        self.link.send(word)
+        self.link.send(message)
 
 
 def test_next_snapshot_is_wanted_without_a_look_at_the_orders(link):

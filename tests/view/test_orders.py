@@ -15,9 +15,9 @@ from pliant.view import messages
 MODEL = pliant.robots.so101()
 
 
-def pose(*place):
+def pose(*position):
     out = np.eye(4)
-    out[:3, 3] = place
+    out[:3, 3] = position
     return out
 
 
@@ -138,17 +138,17 @@ def test_target_in_reach_is_taken():
     )
 
 
-@pytest.mark.parametrize("bad", INVALID_NUMBERS)
-def test_pushes_and_hands_are_bounded(bad):
+@pytest.mark.parametrize("value", INVALID_NUMBERS)
+def test_pushes_and_hands_are_bounded(value):
     max_push = (0.9, 0.5)
     for message in (
-        messages.Push((0.0, bad, 0.0)),
-        messages.Push((0.0, 0.0, 0.0), (bad, 0.0, 0.0)),
-        messages.Push((0.1, 0.0, 0.0), seconds=bad if bad != 1.0 else 0.0),
+        messages.Push((0.0, value, 0.0)),
+        messages.Push((0.0, 0.0, 0.0), (value, 0.0, 0.0)),
+        messages.Push((0.1, 0.0, 0.0), seconds=value if value != 1.0 else 0.0),
     ):
         with pytest.raises(ConfigError, match="push: "):
             messages.check_push(message, max_push)
-    for position in ((150.0 if bad == 1.0 else bad, 0.0, 0.0), (0.0, 0.0)):
+    for position in ((150.0 if value == 1.0 else value, 0.0, 0.0), (0.0, 0.0)):
         with pytest.raises(ConfigError, match="hand: "):
             messages.check_grab(messages.Grab(1, None, position))
     messages.check_push(messages.Push((0.9, -0.9, 0.0), (0.5, 0.0, 0.0), 2.0), max_push)

@@ -152,11 +152,11 @@ def test_meters_show_the_values_of_the_step(page):
     assert page.panel._matrix.content.count("<tr>") == 8
 
 
-def row(page, snapshot, shown=None, full=None):
+def row(page, snapshot, scaling=None, full=None):
     """Return the HTML rows of the table of task axes, by axis."""
-    info, shown = page.info, shown or snapshot.shown
-    full = full or html.ranges(info, shown, snapshot.step, {})
-    rows = html.axes(info, shown, snapshot.step, full).split("<tr>")[2:]
+    info, scaling = page.info, scaling or snapshot.shown
+    full = full or html.ranges(info, scaling, snapshot.step, {})
+    rows = html.axes(info, scaling, snapshot.step, full).split("<tr>")[2:]
     return dict(zip(info.axes, rows, strict=True)), full
 
 
@@ -302,10 +302,10 @@ def test_every_part_of_the_arm_can_be_dragged(page):
 
 
 def test_only_the_tab_that_holds_the_arm_lets_go_when_it_closes(page):
-    page = Page.__new__(Page)
-    page.scene_view, page._send = page.scene_view, page.messages.append
+    closing = Page.__new__(Page)
+    closing.scene_view, closing._send = page.scene_view, page.messages.append
     for held_by, closed_tab, notice in ((None, 3, []), (7, 3, []), (7, 7, [messages.LetGo()])):
         page.scene_view.held_by = held_by
-        page._on_disconnect(SimpleNamespace(client_id=closed_tab))
+        closing._on_disconnect(SimpleNamespace(client_id=closed_tab))
         assert page.messages == notice
     page.scene_view.held_by = None

@@ -66,10 +66,10 @@ def test_target_moves_the_tool(script):
     np.testing.assert_allclose(snapshot.step.target, displacements["to"])
 
 
-def counted(link, heard):
+def counted(link, counter):
     def orders_of_this_tick():
         link.calls += 1
-        return heard(link.calls)
+        return counter(link.calls)
 
     return orders_of_this_tick
 
@@ -78,10 +78,10 @@ def test_push_moves_the_soft_axis_and_ends_by_itself(script):
     push = messages.Push((0.0, 6.0, 0.0), (0.0, 0.0, 0.0), 1.0)
     _, link = run_session(script, {10: push, 400: END})
     info = link.infos[0]
-    pushed = next(s for s in link.running if s.time > link.running[0].time + 0.9)
-    assert deviation(pushed, info, "y") < -0.05
-    assert pushed.hand_force is not None
-    np.testing.assert_allclose(pushed.hand_force[1], (0.0, 6.0, 0.0), atol=0.1)
+    snapshot = next(s for s in link.running if s.time > link.running[0].time + 0.9)
+    assert deviation(snapshot, info, "y") < -0.05
+    assert snapshot.hand_force is not None
+    np.testing.assert_allclose(snapshot.hand_force[1], (0.0, 6.0, 0.0), atol=0.1)
     assert link.running[-1].hand_force is None
     assert abs(deviation(link.running[-1], info, "y")) < 0.02
 
@@ -156,12 +156,12 @@ def moved(pose, *offset):
     return out
 
 
-@pytest.mark.parametrize("far", [(0.0, 0.0, 150.0), (50.0, 0.0, 0.0), (0.0, np.nan, 0.0)])
-def test_target_out_of_reach_is_reported_and_the_old_one_kept(script, far):
+@pytest.mark.parametrize("unreachable", [(0.0, 0.0, 150.0), (50.0, 0.0, 0.0), (0.0, np.nan, 0.0)])
+def test_target_out_of_reach_is_reported_and_the_old_one_kept(script, unreachable):
     link = script({})
     session = Session(Simulated("so101", paced=False), link)
     reachable = (0.0, 0.0, -0.02)
-    schedule = {10: reachable, 40: far, 80: (0.0, 0.0, 0.01)}
+    schedule = {10: reachable, 40: unreachable, 80: (0.0, 0.0, 0.01)}
 
     def heard(number):
         if number in schedule:
@@ -197,8 +197,8 @@ def test_target_that_only_the_core_refuses_does_not_end_the_life(script, monkeyp
 
 
 def test_message_of_a_rejected_setting_ends_with_a_valid_one(script):
-    bad, good = messages.Adaptation(1, 1.5), messages.Adaptation(2, 0.5)
-    _, link = run_session(script, {4: bad, 16: good, 30: END})
+    invalid, valid = messages.Adaptation(1, 1.5), messages.Adaptation(2, 0.5)
+    _, link = run_session(script, {4: invalid, 16: valid, 30: END})
     assert any("adaptation = 1.5" in s.notice[1] for s in link.running)
     assert link.running[-1].notice[1:] == ("", False)
 
@@ -353,10 +353,10 @@ def test_page_that_goes_during_the_descent_does_not_stop_it(script):
     session = Session(Simulated("arm7", paced=False), link)
     inner = link.send
 
-    def send(word):
-        if getattr(word, "phase", "") == "lowering":
+    def send(message):
+        if getattr(message, "phase", "") == "lowering":
             raise PageGone("the page's process has ended")
-        inner(word)
+        inner(message)
 
     link.send = send
     session.run(1)
