@@ -64,14 +64,14 @@ def calls(count: int, only: list[str]) -> dict[str, Callable[[], object]]:
         name = f"step_batch, law {law}"
         functions[name] = lambda c=controller: c.step_batch(q, targets, out=out)
         # Allocate the large controller state of a batch only if a requested call uses it.
-        state = controller.batch_state(count if named(name + ", with a state", only) else 1)
+        state = controller.batch_state(count if is_selected(name + ", with a state", only) else 1)
         functions[name + ", with a state"] = lambda c=controller, s=state: c.step_batch(
             q, targets, state=s, out=out
         )
-    return {name: call for name, call in functions.items() if named(name, only)}
+    return {name: call for name, call in functions.items() if is_selected(name, only)}
 
 
-def named(name: str, only: list[str]) -> bool:
+def is_selected(name: str, only: list[str]) -> bool:
     """Return True if a name contains one of the texts `only`."""
     return any(part in name for part in only)
 
@@ -92,7 +92,7 @@ def serve(count: int, only: list[str]) -> None:
         print(json.dumps((*times, memory / 1024)), flush=True)
 
 
-def started(count: int, only: list[str], threads: int) -> subprocess.Popen[str]:
+def start_server(count: int, only: list[str], threads: int) -> subprocess.Popen[str]:
     """Start and return a process that runs `serve` with this number of threads."""
     command = [sys.executable, __file__, "--count", str(count), "--only", ",".join(only), "--serve"]
     environment = os.environ | {"RAYON_NUM_THREADS": str(threads)}
@@ -101,7 +101,7 @@ def started(count: int, only: list[str], threads: int) -> subprocess.Popen[str]:
 
 
 def ask(server: subprocess.Popen[str], name: str) -> tuple[float, float, float]:
-    """Run a call in a process of `started`; return its times and memory.
+    """Run a call in a process of `start_server`; return its times and memory.
 
     Returns:
         Wall time [s], CPU time [s] and growth of the largest resident memory [MB].
@@ -131,7 +131,7 @@ def main() -> None:
     controller = pliant.Controller(pliant.robots.arm7()).simd_level
     print(f"N = {count:,}, instructions {arguments.instructions or controller}")
     print(f"{'':38} {'M/s a core':>10} {f'{cores} threads':>10} {'ratio':>6} {'MB more':>8}")
-    single_thread, all_cores = started(count, only, 1), started(count, only, cores)
+    single_thread, all_cores = start_server(count, only, 1), start_server(count, only, cores)
     for name in calls(1, only):
         memory = ask(single_thread, name)[2]
         rounds = [(ask(single_thread, name), ask(all_cores, name)) for _ in range(ROUNDS)]

@@ -50,9 +50,9 @@ def names() -> dict[str, Any]:
     cap = pliant.Controller(model, pliant.Settings.soft("y"), pliant.Servos(**SERVOS))
     return {
         "nothing": operator.is_,
-        "kept": cap.step(*followed(model)[0]),
+        "kept": cap.step(*path_states(model)[0]),
         "states": [(q, model.forward_kinematics(target_q)) for q, target_q in states],
-        "followed": followed(model),
+        "followed": path_states(model),
         "cap": cap.step,
         "paper": pliant_peer.controller(model).step,
         "kinematics": model.kinematics,
@@ -60,7 +60,7 @@ def names() -> dict[str, Any]:
     }
 
 
-def followed(model: pliant.Model) -> list[tuple[Any, Any]]:
+def path_states(model: pliant.Model) -> list[tuple[Any, Any]]:
     """Return pairs of joint positions q (n,) and target pose (4, 4) along a closed path.
 
     Each target is the tool's pose two ticks ahead, so that law `cap` follows as on a real arm.

@@ -200,7 +200,7 @@ def available() -> tuple[list[str], list[str]]:
 
 
 def _table(name: str, model: pliant.Model) -> pliant.Servos:
-    """Return servo parameters for the model `bare` of a real robot, which has none.
+    """Return servo parameters for the model of a real robot, which has none.
 
     They are those of a built-in arm of the same type, or estimates by the simulator.
     """

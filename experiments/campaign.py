@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     #: Name of an arm and name of a disturbance.
     Key = tuple[str, str]
     #: Results of all pushes, by the names of arm and disturbance.
-    Found = Mapping[tuple[str, str], Sequence["Promise"]]
+    Results = Mapping[tuple[str, str], Sequence["Promise"]]
     #: Results of pushes, by the label of their line in the picture.
     Groups = Mapping[str, Sequence["Promise"]]
 
@@ -671,11 +671,11 @@ def text(rows: Sequence[Row]) -> str:
 
 
 def save_results(
-    folder: Path, rows: Sequence[Row], results: Found, options: Mapping[str, Any]
+    folder: Path, rows: Sequence[Row], results: Results, options: Mapping[str, Any]
 ) -> None:
     """Write `results.json` into a folder: options, statistics, and every push outside the band.
 
-    `about` contains the options of the campaign.
+    `options` are those of the campaign.
     """
     outside = [
         {"arm": arm, "disturbance": disturbance, **asdict(promise)}
@@ -686,7 +686,7 @@ def save_results(
     write_results(folder, {**options, "rows": [asdict(row) for row in rows], "missed": outside})
 
 
-def draw(folder: Path, rows: Sequence[Row], results: Found) -> None:
+def draw(folder: Path, rows: Sequence[Row], results: Results) -> None:
     """Draw `campaign.png`: distributions of the force errors, by arm and by disturbance.
 
     The second panel has the disturbances of the first arm in `rows`.
@@ -764,8 +764,8 @@ def gears_text() -> str:
         Markdown table with forces in N, drift in mm, and the door's opening in deg.
     """
     measures = {
-        "15 N hand": goals.dragged(controllers.cap(), DRAG_15N),
-        "strong hand": goals.dragged(controllers.cap(), DRAG_80N),
+        "15 N hand": goals.measure_drag(controllers.cap(), DRAG_15N),
+        "strong hand": goals.measure_drag(controllers.cap(), DRAG_80N),
         "door, rigid grip": goals.door("door"),
     }
     gears = REAL_GEARS["arm7"]

@@ -188,7 +188,9 @@ def push_stiff(law: Law, axis: str, size: float, *, conditions: Conditions = NOM
     return mean * float(np.sign(size))
 
 
-def tapped(law: Law, axis: str, *, force: float = 6.0, conditions: Conditions = NOMINAL) -> float:
+def speed_after_tap(
+    law: Law, axis: str, *, force: float = 6.0, conditions: Conditions = NOMINAL
+) -> float:
     """Push the tool briefly along a base axis at 1 s, with a force [N].
 
     Returns:

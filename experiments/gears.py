@@ -211,7 +211,7 @@ class Case:
         return table.replace(encoder_step=self.encoder_step)
 
 
-class Remedied:
+class RemedyController:
     """`pliant.Controller` whose command a remedy changes.
 
     Attributes:
@@ -222,7 +222,7 @@ class Remedied:
         """Make a controller for a case with settings that a remedy changes."""
         n, table = model(case.arm).n, case.table()
         if remedy.learns:
-            table = scaled(table, learned(case), 1.0)
+            table = scaled(table, friction_ratio(case), 1.0)
         self._settings = settings.replace(
             rate=1.0 / PERIOD,
             delay=2 * case.delay * PERIOD,
@@ -295,7 +295,7 @@ class Remedied:
 
 
 @cache
-def learned(case: Case) -> Array:
+def friction_ratio(case: Case) -> Array:
     """Return the ratio of true to assumed friction (n,) that is estimated in free motion.
 
     The target moves on a circle through the workspace. For each moving joint, least squares fit the
@@ -304,7 +304,7 @@ def learned(case: Case) -> Array:
     """
     plant, bench = case.build(), BENCHES[case.arm]
     table, arm = case.table(), model(case.arm)
-    controller = Remedied(controllers.cap(soft=""), case, Remedy(name="free motion"))
+    controller = RemedyController(controllers.cap(soft=""), case, Remedy(name="free motion"))
     home = arm.forward_kinematics(bench.start)
     radius = 0.3 * abs(bench.distance)
 
@@ -380,7 +380,7 @@ def drag(case: Case, remedy: Remedy) -> float:
     """Return the largest force of a hand that drags the arm along a soft axis [N]."""
     bench = BENCHES[case.arm]
     plant, axis = case.build(bench.hand), str(bench.hand.axis)
-    law = Remedied(controllers.cap(soft=axis), case, remedy)
+    law = RemedyController(controllers.cap(soft=axis), case, remedy)
     target = model(case.arm).forward_kinematics(bench.start)
 
     def grip(time: float, plant: Plant) -> None:
@@ -396,7 +396,7 @@ def open_door(case: Case, remedy: Remedy) -> tuple[float, float]:
     bench = BENCHES[case.arm]
     door = Door(**bench.door)
     null_space = pliant.NullSpace(gain=1.0)
-    law = Remedied(controllers.cap(soft=bench.soft, null_space=null_space), case, remedy)
+    law = RemedyController(controllers.cap(soft=bench.soft, null_space=null_space), case, remedy)
     target = pull(model(case.arm).forward_kinematics(bench.at_door), bench.distance)
     run(case.build(door), law, target, 9.5, q=bench.at_door)
     return door.peak_force, float(np.rad2deg(door.widest))
@@ -411,7 +411,7 @@ def rest(case: Case, remedy: Remedy, minutes: float) -> tuple[float, float, floa
     """
     bench, arm = BENCHES[case.arm], model(case.arm)
     plant = case.build()
-    law = Remedied(controllers.cap(soft=str(bench.hand.axis)), case, remedy)
+    law = RemedyController(controllers.cap(soft=str(bench.hand.axis)), case, remedy)
     plant.reset(bench.start)
     law.reset(bench.start)
     target = arm.forward_kinematics(bench.start)

@@ -38,7 +38,7 @@ def hold(conditions: Conditions) -> Figures:
     return {"error [mm]": 1e3 * disturbances.idle(law, conditions=conditions).error}
 
 
-def dragged(law: disturbances.Law, hand: Drag) -> Measure:
+def measure_drag(law: disturbances.Law, hand: Drag) -> Measure:
     """Return a function that measures force and drift while a hand drags the arm along soft y.
 
     The function returns the largest force of the hand and the drift of the other positions.
@@ -51,7 +51,7 @@ def dragged(law: disturbances.Law, hand: Drag) -> Measure:
     return measure
 
 
-def capped(conditions: Conditions) -> Figures:
+def hold_strong_hand(conditions: Conditions) -> Figures:
     """Measure soft y with a cap of 15 N, along which a hand of at most 80 N drags the tool.
 
     Return the force of the resting hand, the drift of the other positions, and the distance of y
@@ -66,7 +66,7 @@ def capped(conditions: Conditions) -> Figures:
     }
 
 
-def kept(conditions: Conditions) -> Figures:
+def count_kept_caps(conditions: Conditions) -> Figures:
     """Return the share of kept caps (`CapResult.kept`), in all poses and in those clear of stops.
 
     200 random poses are measured under `NOMINAL` conditions, and 20 under all others.
@@ -146,7 +146,7 @@ def bumps(conditions: Conditions) -> Figures:
     }
 
 
-def dead(conditions: Conditions) -> Figures:
+def after_host_loss(conditions: Conditions) -> Figures:
     """Measure a hand that moves the tool after a host loss; return its largest force.
 
     The force is the largest of four directions of the hand.
@@ -288,25 +288,25 @@ _ENTRIES = (
     _Entry(
         scenario="strong hand, η 0.999",
         preset="cap()",
-        measure=dragged(controllers.cap(), DRAG_80N),
+        measure=measure_drag(controllers.cap(), DRAG_80N),
         goals={"force [N]": _most(4.5, 5.5), "drift [mm]": _most(2.5, 3.0)},
     ),
     _Entry(
         scenario="strong hand, η 0.999",
         preset="cap(tracking.gain=6.0)",
-        measure=dragged(controllers.cap(tracking=Tracking(gain=6.0)), DRAG_80N),
+        measure=measure_drag(controllers.cap(tracking=Tracking(gain=6.0)), DRAG_80N),
         goals={"drift [mm]": _most(2.0)},
     ),
     _Entry(
         scenario="strong hand, η 0.999",
         preset='cap(follow="hold")',
-        measure=dragged(controllers.cap(paper_options=PaperOptions(follow="hold")), DRAG_80N),
+        measure=measure_drag(controllers.cap(paper_options=PaperOptions(follow="hold")), DRAG_80N),
         goals={"drift [mm]": _most(2.0)},
     ),
     _Entry(
         scenario="15 N hand, η 0.999",
         preset="cap()",
-        measure=dragged(controllers.cap(), DRAG_15N),
+        measure=measure_drag(controllers.cap(), DRAG_15N),
         goals={"force [N]": _most(5.6, 7.5), "drift [mm]": (Goal(high=2.3), _FREE)},
     ),
     # A gain K_x of 4.8/s (default: 4/s) serves the goals with delay and errors. With overestimated
@@ -316,7 +316,7 @@ _ENTRIES = (
     _Entry(
         scenario="15 N hand, η 0.999",
         preset="cap(tracking.gain=4.8)",
-        measure=dragged(controllers.cap(tracking=Tracking(gain=4.8)), DRAG_15N),
+        measure=measure_drag(controllers.cap(tracking=Tracking(gain=4.8)), DRAG_15N),
         goals={
             "force [N]": (_FREE, Goal(high=7.5)),
             "drift [mm]": (_FREE, Goal(high=4.0)),
@@ -325,13 +325,13 @@ _ENTRIES = (
     _Entry(
         scenario="15 N hand",
         preset="impedance()",
-        measure=dragged(controllers.impedance(), DRAG_15N),
+        measure=measure_drag(controllers.impedance(), DRAG_15N),
         goals={"force [N]": (Goal(high=5.6), _FREE), "drift [mm]": (_FREE, _FREE)},
     ),
     _Entry(
         scenario="strong hand, η 0, cap 15 N",
         preset="cap(eta=0.0)",
-        measure=capped,
+        measure=hold_strong_hand,
         goals={
             "held [N]": (Goal(low=14.0, high=16.0), Goal(low=14.0, high=16.0)),
             "drift [mm]": _most(3.0, 3.0),
@@ -341,7 +341,7 @@ _ENTRIES = (
     _Entry(
         scenario="promised cap, random poses",
         preset="Axis(soft=F, firm=F)",
-        measure=kept,
+        measure=count_kept_caps,
         goals={
             "kept, all poses [%]": (Goal(low=97.0), Goal(low=95.0)),
             "kept, joints clear of stops [%]": (Goal(low=97.0), Goal(low=95.0)),
@@ -411,7 +411,7 @@ _ENTRIES = (
     _Entry(
         scenario="host dead, then a hand",
         preset="cap(eta=0.0)",
-        measure=dead,
+        measure=after_host_loss,
         goals={"force [N]": (Goal(high=13.0), _FREE)},
     ),
 )
@@ -462,7 +462,7 @@ def text(rows: list[Row]) -> str:
 #: true friction and damping.
 RATES, TICKS, BELIEVED = (100.0, 200.0), (0, 1), (0.7, 1.0, 1.3)
 RATE_SCENES = {
-    "15 N hand, η 0.999": dragged(controllers.cap(), DRAG_15N),
+    "15 N hand, η 0.999": measure_drag(controllers.cap(), DRAG_15N),
     "door, rigid grip, `cap`": door("door"),
     "door, rigid grip, `impedance`": door("door", controllers.impedance),
 }

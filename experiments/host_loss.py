@@ -126,8 +126,8 @@ class Bench:
             axis: Name of the dragged axis.
             sign: Direction of the drag, 1 or -1.
         """
-        leans = bool(pose % 2)
-        report = self._work(pose, leans=leans)
+        is_pushed = bool(pose % 2)
+        report = self._work(pose, is_pushed=is_pushed)
         row, kind = AXES.index(axis), AXES.index(axis) // 3
         side = int(sign > 0.0)
         force, distance = self.drag(row, sign * DRAG_DISTANCE[kind])
@@ -136,20 +136,20 @@ class Bench:
             pose=pose,
             axis=axis,
             sign=sign,
-            is_pushed=leans,
+            is_pushed=is_pushed,
             reported=report.axes[axis].host_loss_force[side],
             measured=force,
             at=distance,
             hand=self.hand[kind],
         )
 
-    def _work(self, pose: int, *, leans: bool) -> pliant.feasibility.PoseReport:
+    def _work(self, pose: int, *, is_pushed: bool) -> pliant.feasibility.PoseReport:
         """Follow a moving target until the host loss; return the report after the last step.
 
-        With `leans`, a hand pushes the soft axis meanwhile.
+        With `is_pushed`, a hand pushes the soft axis meanwhile.
         """
         rng = np.random.default_rng((pose, 7))
-        motion, death, push_distance = (
+        motion, loss_time, push_distance = (
             rng.standard_normal(3),
             rng.uniform(*MOTION_TIME),
             rng.choice((-PUSH_DISTANCE, PUSH_DISTANCE)),
@@ -159,15 +159,15 @@ class Bench:
         plant.reset(q)
         controller.reset(q)
         soft = AXES.index(self.soft)
-        grip.hold([soft] if leans else [])
+        grip.hold([soft] if is_pushed else [])
         target = plant.tool
 
         def work(now: float, plant: Plant) -> None:
             target[:3, 3] += SPEED * plant.period * motion / np.linalg.norm(motion)
-            grip.move(soft, push_distance / death if leans else 0.0)
+            grip.move(soft, push_distance / loss_time if is_pushed else 0.0)
 
         goal = target if any(row > 2 for row in self.arm.rows) else target[:3, 3]
-        for _ in closed_loop(plant, controller, goal, death, on_tick=work):
+        for _ in closed_loop(plant, controller, goal, loss_time, on_tick=work):
             pass
         return controller.report()
 

@@ -133,7 +133,7 @@ def identify_arm(
     """
     body = plant(arm, case, rate)
     model = robots.load(arm)
-    table = believed(model)
+    table = initial_table(model)
     result = identify.identify_servos(body, model, table, span=span)
     gains, servos = body.gains, result.servos
     gravity = np.asarray(model.gravity(STARTS[arm]))
@@ -163,7 +163,7 @@ def identify_arm(
     )
 
 
-def believed(model: pliant.Model) -> pliant.Servos:
+def initial_table(model: pliant.Model) -> pliant.Servos:
     """Return the initial servo table of an identification, in which k_p is not known."""
     if model.servos is None:
         raise pliant.ConfigError(f"{model.name} has no servos")
@@ -208,7 +208,7 @@ def rows(span: float = 0.4) -> list[tuple[str, dict[str, float]]]:
     delay, options = (1, 1), {**WRONG, "encoder_step": COUNT}
     body = Plant(robots.arm7(), delay=delay, **options)
     body.reset(STARTS["arm7"])
-    table = believed(robots.arm7())
+    table = initial_table(robots.arm7())
     result = identify.identify_servos(body, robots.arm7(), table, span=span)
     gains = body.gains
     true = table.replace(
@@ -224,8 +224,8 @@ def rows(span: float = 0.4) -> list[tuple[str, dict[str, float]]]:
         "known exactly": (true, sum(delay) / 100.0),
     }
     measures = {
-        "15 N hand": goals.dragged(controllers.cap(), DRAG_15N),
-        "strong hand": goals.dragged(controllers.cap(), DRAG_80N),
+        "15 N hand": goals.measure_drag(controllers.cap(), DRAG_15N),
+        "strong hand": goals.measure_drag(controllers.cap(), DRAG_80N),
         "door": goals.door("door"),
     }
     out = []

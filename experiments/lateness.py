@@ -128,7 +128,7 @@ def run(combination: Combination, link: Link | None, seconds: float, folder: Pat
 
 
 @contextlib.contextmanager
-def reading(link: Link) -> Iterator[None]:
+def client_reading(link: Link) -> Iterator[None]:
     """Return a context in which a client process reads all messages of the page of a link."""
     command = [sys.executable, "-m", "experiments.lateness", "--client", link.address]
     with subprocess.Popen(command) as process:
@@ -177,7 +177,7 @@ def main(*, seconds: float = 10.0, rounds: int = 3, client: str = "") -> None:
                 if not combination.page:
                     run(combination, None, seconds, Path(name))
                     continue
-                with Link() as link, reading(link):
+                with Link() as link, client_reading(link):
                     run(combination, link, seconds, Path(name))
     columns = ("SO-101, 100 Hz", "ticks", "late 50 % [ms]", "99 %", "99.9 %", "missed")
     rows = []

@@ -42,8 +42,9 @@ SEEDS = (1, 2, 3)
 STEPS = 120
 #: Cost of a door that stays closed [N].
 CLOSED = 100.0
-#: Entries of an action that are chosen: velocity along x and y, turn about z, softness of y, yaw.
-CHOSEN = (0, 1, 5, 6, 7)
+#: Indices of the searched entries of an action: velocity along x and y, rotation about z, softness
+#: of y and of yaw.
+SEARCHED = (0, 1, 5, 6, 7)
 #: Action at which both searches start, and its standard deviation.
 START, SPREAD = np.array([-0.8, 0.0, 0.0, -0.5, -0.5]), 0.3
 #: Number of features of the policy, with the constant 1.
@@ -92,7 +93,7 @@ class Trial:
         peak, has_ended = np.zeros(len(seeds)), np.zeros(len(seeds), dtype=bool)
         while not has_ended.all():
             values = features(observation, first)[:, : gains.shape[2]]
-            actions[:, CHOSEN] = (gains @ values[:, :, None])[:, :, 0]
+            actions[:, SEARCHED] = (gains @ values[:, :, None])[:, :, 0]
             observation, _, terminated, truncated, info = self._envs.step(np.clip(actions, -1, 1))
             peak = np.where(has_ended, peak, np.maximum(peak, info["force"]))
             has_ended = terminated | truncated
@@ -107,7 +108,7 @@ def search(kind: str, seed: int) -> list[dict[str, Any]]:
         seed: Seed of the search and of its doors.
     """
     count = 1 if kind == "constant" else FEATURES
-    mean = np.zeros((len(CHOSEN), count))
+    mean = np.zeros((len(SEARCHED), count))
     mean[:, 0] = START
     optimizer = CMA(mean=mean.ravel(), sigma=SPREAD, population_size=CANDIDATES, seed=seed)
     trial, validation = Trial(CANDIDATES * DOORS), Trial(len(VALIDATION))

@@ -32,7 +32,9 @@ POSES = {
 DRAG_DISTANCE, DRAG_FORCE, PUSH_FORCE = 0.10, 15.0, 3.0
 
 
-def held(name: str, settings: pliant.Settings, hand: Hand, seconds: float) -> tuple[Array, Array]:
+def hold_against(
+    name: str, settings: pliant.Settings, hand: Hand, seconds: float
+) -> tuple[Array, Array]:
     """Hold the pose of `POSES` against a hand for `seconds` [s].
 
     Returns:
@@ -65,7 +67,9 @@ def rows(name: str, count: int = 6) -> list[tuple[str, str]]:
     out = []
     # The hand pulls from 2 s, reaches its distance at 3.5 s, and releases the arm at 5 s. Indices
     # below are ticks of 10 ms.
-    path, force = held(name, soft, Drag(axis="y", distance=DRAG_DISTANCE, limit=DRAG_FORCE), 8.0)
+    path, force = hold_against(
+        name, soft, Drag(axis="y", distance=DRAG_DISTANCE, limit=DRAG_FORCE), 8.0
+    )
     displacement = path - path[190]
     pull = slice(350, 490)
     forces = np.linalg.norm(force[pull], axis=1)
@@ -86,7 +90,7 @@ def rows(name: str, count: int = 6) -> list[tuple[str, str]]:
     firm = pliant.Settings.firm(task=task)
     for axis in range(3):
         push = np.eye(3)[axis] * PUSH_FORCE * (-1.0 if axis == 2 else 1.0)
-        path, _ = held(name, firm, Push(force_vector=tuple(push)), 5.0)
+        path, _ = hold_against(name, firm, Push(force_vector=tuple(push)), 5.0)
         deviation = 1e3 * np.abs((path - path[190])[200:490, axis]).max()
         out.append(
             (

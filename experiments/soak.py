@@ -457,7 +457,7 @@ def soak_stepped(family: str, seconds: float, *, rate: float = 100.0, seed: int 
         return judge(family, arm, run_result, lambda name: getattr(audit, name)(), bus.lag)
 
 
-def audited(family: str, seed: int) -> ArmEmulator:
+def audited_emulator(family: str, seed: int) -> ArmEmulator:
     """Return the emulator of a soak test in real time, whose log calls an `Audit`."""
     bus = emulator(family, faults=Faults(seed=seed), log=10)
     bus.log.watch = Audit(bus, machine=True)
@@ -467,7 +467,7 @@ def audited(family: str, seed: int) -> ArmEmulator:
 def soak(family: str, seconds: float, *, rate: float = 100.0, seed: int = 1) -> SoakResult:
     """Run the soak test in real time, with the emulator in a separate process."""
     arm_config = configuration(family)
-    with EmulatorProcess(audited, family, seed) as bus:
+    with EmulatorProcess(audited_emulator, family, seed) as bus:
         chain = Recorder(
             factory.servo_specs(arm_config, bus.ports), rate=rate, reply_timeout_min=PATIENCE
         )

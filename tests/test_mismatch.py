@@ -185,7 +185,7 @@ def cases():
     scales = {"kp": 1.25, "friction": 1.4, "damping": 1.3, "delay": 0.02}
     yield "identified, rows", plant(**scales), identification.rows
     believing = identification.AssumedTable(
-        table=identification.believed(pliant.robots.arm7()),
+        table=identification.initial_table(pliant.robots.arm7()),
         delay=(1, 1),
         plant=identification.WRONG,
     )

@@ -37,7 +37,7 @@ def digest(example: Path) -> str:
     return hashlib.sha256(example.read_bytes()).hexdigest()[:16]
 
 
-def recorded(example: Path) -> str | None:
+def stored_digest(example: Path) -> str | None:
     """Return the digest of the example at its last run."""
     text = GALLERY / f"{example.stem}.txt"
     return text.read_text(encoding="utf-8").split("\n", 1)[0] if text.exists() else None
@@ -236,7 +236,9 @@ def main() -> None:
             old.unlink()
     for example in sorted(EXAMPLES.glob("*.py")):
         is_named = example.stem[:2] in options.numbers
-        is_changed = not options.numbers and (options.all or recorded(example) != digest(example))
+        is_changed = not options.numbers and (
+            options.all or stored_digest(example) != digest(example)
+        )
         if is_named or is_changed:
             print(example.name, flush=True)
             record(example)

@@ -23,7 +23,7 @@ class NoticeError(SystemExit):
     """The crates cannot be listed, or one has no licence, or no text of it."""
 
 
-def linked() -> list[dict]:
+def linked_crate_names() -> list[dict]:
     """Return crates linked on Linux, by name and version, without ours and build tools."""
     command = (
         "cargo metadata --format-version 1 --locked --filter-platform x86_64-unknown-linux-gnu"
@@ -83,7 +83,7 @@ def text(crate: dict, licence: str) -> str:
 
 def notices() -> str:
     """Return the text of THIRD_PARTY_LICENSES."""
-    crates = linked()
+    crates = linked_crate_names()
     out = HEAD + "".join(f"{c['name']} {c['version']}: {chosen(c)}\n" for c in crates)
     for crate in crates:
         licence = chosen(crate)

@@ -76,7 +76,7 @@ def text_of(path: Path) -> str:
 
 
 def entry(data: Any, file: str | Path, *keys: str) -> Any:
-    """Return the entry of nested tables under `keys`; `place` names the file in the error."""
+    """Return the entry of nested tables under `keys`; `file` is named in the error."""
     for i, key in enumerate(keys, 1):
         if not isinstance(data, Mapping) or key not in data:
             raise CheckError(f"{file}: no entry {'.'.join(keys[:i])}")
@@ -93,8 +93,8 @@ def toml_entry(path: str, *keys: str) -> Any:
     return entry(data, path, *keys)
 
 
-def only(items: Sequence[T], description: str) -> T:
-    """Return the one element of a list; `what` names it in the error."""
+def single(items: Sequence[T], description: str) -> T:
+    """Return the only element of a list; an error contains its `description`."""
     if len(items) != 1:
         raise CheckError(f"{len(items)} of {description}, 1 is needed: {list(items)}")
     return items[0]
@@ -256,7 +256,7 @@ def contents(wheel: Path) -> str:
     data = members(wheel)
     for licence in ("LICENSE", "THIRD_PARTY_LICENSES"):
         end = f".dist-info/licenses/{licence}"
-        name = only([name for name in data if name.endswith(end)], f"{end} in {wheel.name}")
+        name = single([name for name in data if name.endswith(end)], f"{end} in {wheel.name}")
         if data[name] != (ROOT / licence).read_bytes():
             raise CheckError(f"{name} is not {licence}")
     foreign = [name for name in data if name.partition("/")[0].partition("-")[0] != "pliant"]
@@ -288,7 +288,7 @@ def materials(bill: Path, wheel: Path) -> str:
     names = {entry(component, bill.name, "name") for component in components}
     data = members(wheel)
     modules = [name for name in data if "/_core." in name and name.endswith(("so", "pyd"))]
-    binary = data[only(modules, f"compiled modules in {wheel.name}")]
+    binary = data[single(modules, f"compiled modules in {wheel.name}")]
     # Panic messages name the sources of the crates that can panic.
     files = {
         m[1].decode()
@@ -349,7 +349,7 @@ def main(targets: list[str]) -> int:
     check("licences", licences)
     builds: list[dict[str, Path]] = []
 
-    def twice() -> str:
+    def build_twice() -> str:
         builds.append(build(commit, WORK / "first", targets, "UTC", 0o022))
         with second_folder() as second:
             other = build(commit, second, targets, "Asia/Kolkata", 0o077)
@@ -362,12 +362,12 @@ def main(targets: list[str]) -> int:
             raise CheckError(f"two builds differ: {different}")
         return f"{len(hashes)} files are the same bytes (twine and abi3audit passed on both)"
 
-    check("two builds in two folders", twice)
+    check("two builds in two folders", build_twice)
     if builds:
         wheels = [path for name, path in builds[0].items() if name.endswith(".whl")]
 
         def ending(end: str) -> Path:
-            return only([path for name, path in builds[0].items() if name.endswith(end)], end)
+            return single([path for name, path in builds[0].items() if name.endswith(end)], end)
 
         for wheel in wheels:
             check(f"contents of {wheel.name}", lambda wheel=wheel: contents(wheel))

@@ -111,7 +111,7 @@ def _both(run: OpenCloseResult) -> dict[str, Any]:
     }
 
 
-def felt(trace: Trace) -> Array:
+def estimated_force(trace: Trace) -> Array:
     """Return the force on the tool along x at each tick (N,) [N], estimated without a force sensor.
 
     `pliant.ContactEstimator` gets the recorded joint positions and commands.
@@ -153,7 +153,9 @@ def draw(outcomes: Mapping[str, Any], options: Options) -> None:
     draw_force_over_angle(outcomes, options.figures)
     draw_scenes(outcomes, options.figures)
     draw_closing(
-        {n: r.trace for n, r in outcomes.items() if n.startswith("both/")}, felt, options.figures
+        {n: r.trace for n, r in outcomes.items() if n.startswith("both/")},
+        estimated_force,
+        options.figures,
     )
 
 
@@ -628,7 +630,7 @@ def draw_closing(
             top, low = axes[:, column]
             top.plot(t, np.rad2deg(trace.leaf[step]), color=colour)
             force = force_of(trace)
-            for k in recognised(trace.t, force):
+            for k in detected_ends(trace.t, force):
                 top.plot(trace.t[k], np.rad2deg(trace.leaf[k]), "o", markersize=5, color=INK)
                 low.plot(trace.t[k], force[k], "o", markersize=5, color=INK)
             low.plot(t, force[step], color=colour, linewidth=1.1)
@@ -644,7 +646,7 @@ def draw_closing(
         save(figure, folder, "4-open-close")
 
 
-def recognised(t: Array, force: Array) -> list[int]:
+def detected_ends(t: Array, force: Array) -> list[int]:
     """Return the ticks at which resistance is detected: first of opening, then of closing.
 
     Args:

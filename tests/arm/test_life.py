@@ -28,7 +28,7 @@ from pliant.sim import Plant, SimDrive
 
 HANDLED = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
 NUMBERS = [getattr(signal, name) for name in HANDLED if hasattr(signal, name)]
-#: Times between two signals [s] that count as one request (`REPEATED`) or as two (`DELIBERATE`).
+#: Times between two signals [s] that count as one request, and as two.
 REPEAT_GAP, DELIBERATE_GAP = 0.1, 2.0
 LOW = np.array([0.0, 1.5, 0.0, 0.0, 0.0])
 #: Number of loop iterations of the stand-in for a descent in these tests.
@@ -74,7 +74,7 @@ class Life(RuleBasedStateMachine):
         self.on = [False] * len(self.arms)
 
     def descend(self, io, rest_q, rate, is_aborted, **_):
-        """Replace a descent by a wait of `TURNS` iterations, in which signals arrive."""
+        """Replace a descent by a wait of `ITERATIONS` iterations, in which signals arrive."""
         for _ in range(ITERATIONS):
             if self.during:
                 number, gap = self.during.pop(0)

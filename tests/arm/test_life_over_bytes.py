@@ -238,8 +238,8 @@ class Life(RuleBasedStateMachine):
 
     def excuse(self, error):
         """Accept torque on after an error on a dead line, or one that says that torque stays on."""
-        is_told = "torque may still be on" in str(error) or "torque stays on" in str(error)
-        if self.line.dead or is_told or self.has_tripped:
+        is_reported = "torque may still be on" in str(error) or "torque stays on" in str(error)
+        if self.line.dead or is_reported or self.has_tripped:
             self.is_left = True
 
     def settle(self):

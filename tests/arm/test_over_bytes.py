@@ -138,7 +138,7 @@ def test_lowered_after_the_program_stalled(family, q):
 
 
 def enabled_with_old_goals(family, lost_request=0):
-    """Enable an arm whose servos have old goals; request number `lost` does not reach a servo.
+    """Enable an arm whose servos have old goals; request number `lost_request` is lost.
 
     Returns:
         Distance moved by the tool [m], and the numbers of the requests that contained goals.

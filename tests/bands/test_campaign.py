@@ -1,4 +1,4 @@
-"""Force caps in random poses: a few seeded poses always run; the others are marked `full`."""
+"""Force caps in random poses: a few poses always run; the others are marked `full`."""
 
 import json
 
@@ -9,7 +9,7 @@ from experiments import campaign as table
 from experiments.arms import load
 from experiments.campaign import DISTURBANCES, UNDISTURBED, Bench, campaign_jobs, run_campaign
 
-#: Numbers of seeded poses of `arm7`: in pose 1 a joint is at its stop, in pose 2 none is.
+#: Indices of random poses of `arm7`: in pose 1 a joint is at its stop, in pose 2 none is.
 POSES = range(1, 3)
 
 

@@ -1,4 +1,4 @@
-"""Force against deviation: profiles of yielding axes, deviation limits of stiff ones."""
+"""Force against deviation: profiles of soft axes, and deviation limits of stiff axes."""
 
 from contextlib import nullcontext
 
@@ -18,7 +18,7 @@ NEARLY = [NOMINAL, *(Conditions(delay=(1, 1), believed=share) for share in (0.7,
 
 
 def expected_force(profile, deviation):
-    """Return the smaller of the profile's and the servos' force [N] at a deviation [m]."""
+    """Return the expected force [N] at a deviation [m]: the cap, or the force of the servos."""
     c = float(np.clip(1.0 - (deviation - 0.01) / 0.09, 0.0, 1.0))
     strength = {
         "hardening": c * SOFT + (1.0 - c) * FIRM,

@@ -1,10 +1,10 @@
-"""Doors: opened by the default law with little force, jammed by the others."""
+"""Doors: the default law opens them with little force; with others they jam."""
 
 import pytest
 
 from experiments import controllers, doors
 
-#: Bounds by scene and grip: smallest angle [deg] and largest force [N], with the measured values.
+#: Smallest angle [deg] and largest force [N] by scene and grip.
 CAP = {
     ("door", "rigid"): (64.0, 32.0),  # measured 67.7, 24.4
     ("door", "turning"): (64.0, 25.0),  # measured 69.3, 9.8
@@ -23,12 +23,12 @@ RESISTING = ("door", "fridge", "horizontal", "oven")
 
 
 def all_stiff(*, soft, null_space):
-    """Return `controllers.all_stiff`, which takes no soft axis."""
+    """Return `controllers.all_stiff`; the argument `soft` is ignored."""
     return controllers.all_stiff(null_space=null_space)
 
 
 def cap_stiff(*, soft, null_space):
-    """Return `controllers.cap` without a soft axis."""
+    """Return `controllers.cap` without a soft axis; the argument `soft` is ignored."""
     return controllers.cap(soft="", null_space=null_space)
 
 

@@ -1,4 +1,4 @@
-"""Load-dependent friction: compensation by the feed-forward once it is known."""
+"""Load-dependent friction: the feed-forward compensates it if the controller knows it."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ KNOWN = Conditions(gears=REAL_GEARS["arm7"], gears_known=True)
 
 
 def test_a_known_load_is_fed_forward():
-    drag = goals.dragged(controllers.cap(), DRAG_15N)
+    drag = goals.measure_drag(controllers.cap(), DRAG_15N)
     with under(UNKNOWN):
         assert drag(UNKNOWN)["force [N]"] > 14.0  # measured 15.0: the hand's largest force
     assert drag(KNOWN)["force [N]"] < 8.5  # measured 7.6
@@ -36,7 +36,7 @@ def test_the_arm_stays_at_rest(delay):
 
 
 def test_dither_makes_the_drag_lighter_and_costs_reversals():
-    """One row of `experiments.gears` for the present law, and one with dither."""
+    """Compare two rows of `experiments.gears`: the present law, and dither."""
     case, rows = gears.Case(arm="arm7"), ("present law", "dither 0.6")
     present, dither = (gears.drag(case, gears.REMEDIES[row]) for row in rows)
     assert present == pytest.approx(8.0, abs=0.3)  # measured 8.04

@@ -1,4 +1,4 @@
-"""The table of goals of the experiments: each row has a preset, a bound and a measured value."""
+"""Table of the experiments' goals: each row has settings, a bound and a measured value."""
 
 import dataclasses
 
@@ -9,7 +9,7 @@ import pliant
 from experiments import controllers, goals
 from pliant.sim import DRAG_15N
 
-#: The preset under test.
+#: Settings of the tested law.
 GAIN = {"tracking": pliant.Tracking(gain=4.8)}
 
 
@@ -33,7 +33,7 @@ def test_a_stiffer_hold_keeps_the_drift_with_overestimated_friction():
     (too_high,) = (condition for condition in goals.UNCERTAIN if condition.believed > 1.0)
     with under(too_high):
         stiffer, default = (
-            goals.dragged(controllers.cap(**options), DRAG_15N)(too_high)["drift [mm]"]
+            goals.measure_drag(controllers.cap(**options), DRAG_15N)(too_high)["drift [mm]"]
             for options in (GAIN, {})
         )
     assert stiffer == rows[1].reached_uncertain

@@ -1,4 +1,4 @@
-"""A hand drags the tool along an axis that yields: force, drift of the stiff axes, return."""
+"""A hand drags the tool along a soft axis: force, drift of the stiff axes, and return."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Force on a hand after a host loss in mid-motion, compared with the controller's report."""
+"""Force on a hand after a host loss during a motion, compared with the controller's report."""
 
 import pytest
 
@@ -6,12 +6,12 @@ import pliant
 from experiments.arms import load
 from experiments.host_loss import Bench
 
-#: Measured force may be below the reported one by this share.
+#: Share by which a measured force may be below the reported one.
 MAX_SHORTFALL = 0.3  # measured 0.16
 
 
-#: Arm and number of the pose. In the poses of the second line, a joint at its stop reverses during
-#: the motion, or the springs of the servos push the arm back.
+#: Arm and index of the pose. In the second line, a joint at its stop reverses during the motion, or
+#: the servos push the arm back.
 POSES = [
     *(("arm7", 2), ("arm7", 11), ("so101", 6), ("koch", 2)),
     *(("so101", 12), ("koch", 28), ("koch", 30), ("koch", 25)),

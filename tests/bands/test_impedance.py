@@ -1,4 +1,4 @@
-"""Law `impedance` on position servos: stiff axes act as springs, and soft axes have no spring."""
+"""Law `impedance` on position servos: springs along stiff axes, none along soft axes."""
 
 import re
 from functools import partial
@@ -12,7 +12,7 @@ from pliant import Axis, ConfigError, Controller, Settings, robots
 from pliant.sim import DRAG_15N, Plant
 from pliant.sim.postures import VERTICAL
 
-#: Law `impedance` without the reduction of stiffness for delays.
+#: Law `impedance` that accepts a high stiffness, instead of reducing it for delays.
 unreduced = partial(controllers.impedance, accept_high_stiffness=True)
 
 NOMINAL = Conditions()
@@ -20,8 +20,8 @@ DELAYED = Conditions(delay=(1, 1))
 FAST = Conditions(rate=200.0, delay=(1, 1))
 SLOW = Conditions(rate=50.0, delay=(1, 1))
 
-#: By loop: conditions and law; for a door, smallest angle [deg] and largest force [N]; for a hand
-#: of at most 15 N, largest force [N] and drift [m]. Comments of entries have the measured values.
+#: By loop: conditions; law; for a door, smallest angle [deg] and largest force [N]; for a hand of
+#: at most 15 N, largest force [N] and drift [m]. The comments have the measured values.
 LOOPS = {
     "100 Hz": (NOMINAL, controllers.impedance, 65.0, 16.0, 5.8, 0.0040),  # 65.6, 15.1, 5.3, .0034
     "100 Hz, 1+1": (
@@ -43,7 +43,7 @@ LOOPS = {
     "200 Hz, 1+1": (FAST, controllers.impedance, 65.0, 15.5, 6.2, 0.0045),  # 66.2, 14.0, 5.6, .0039
     "200 Hz, 1+1, as asked": (FAST, unreduced, 65.0, 15.5, 6.2, 0.0042),  # 66.2, 14.0, 5.6, .0036
 }
-#: By loop: factor on the stiffness of 800 N/m and 20 N·m/rad at which the loop oscillates. The
+#: By loop: multiple of the stiffness 800 N/m and 20 N·m/rad at which the loop oscillates. The
 #: product of stiffness ratio ρ and loop delay T_e is then 0.11, 0.07, 0.14 and 0.14 s.
 RINGING = {"100 Hz": 8.0, "100 Hz, 1+1": 1.0, "200 Hz, 1+1": 4.0, "50 Hz, 1+1": 1.0}
 CONDITIONS = {
@@ -82,7 +82,7 @@ def test_follows_a_15_newton_hand(loop):
 def test_taps_die_within_the_bound(loop, axis):
     law = controllers.impedance()
     # Measured 0.0009 [rad/s].
-    assert disturbances.tapped(law, axis, conditions=CONDITIONS[loop]) < 0.002
+    assert disturbances.speed_after_tap(law, axis, conditions=CONDITIONS[loop]) < 0.002
 
 
 @pytest.mark.parametrize("loop", RINGING)
@@ -90,7 +90,7 @@ def test_taps_ring_beyond_the_bound(loop):
     stiffness = (800.0 * RINGING[loop], 20.0 * RINGING[loop])
     law = unreduced(soft="", stiffness=stiffness)
     # Measured 0.45-0.74 [rad/s].
-    assert disturbances.tapped(law, "z", conditions=CONDITIONS[loop]) > 0.1
+    assert disturbances.speed_after_tap(law, "z", conditions=CONDITIONS[loop]) > 0.1
 
 
 def test_a_slow_loop_with_a_tick_each_way_is_stable():
@@ -118,13 +118,14 @@ def test_a_damper_is_quiet():
     law = controllers.impedance(damping=(40.0, 1.5))
     for axis in ("x", "z"):
         # Measured 0.0007 [rad/s].
-        assert disturbances.tapped(law, axis, conditions=DELAYED) < 0.002
+        assert disturbances.speed_after_tap(law, axis, conditions=DELAYED) < 0.002
 
 
 def test_well_damped_servos_bear_more_than_their_own_stiffness():
-    """An SO-101 with damping over k_p of 0.12 s allows a stiffness ratio ρ of 2.2.
+    """An SO-101 whose damping is 0.12 s times k_p allows a stiffness ratio ρ of 2.2.
 
-    The loop runs at 100 Hz with a delay of a tick each way, for which other arms allow 1.2.
+    The loop runs at 100 Hz with one tick of delay for reading and for writing; other arms then
+    allow 1.2.
     """
     arm, q = robots.load("so101"), np.array([0.2, -0.3, 0.3, 0.9, 0.0])
     rows = arm.jacobian(q)[:3]

@@ -1,4 +1,4 @@
-"""Each preset in its scene, compared with the same task with all axes stiff."""
+"""Each preset in its task, compared with all axes stiff."""
 
 from contextlib import nullcontext
 
@@ -9,7 +9,8 @@ from experiments import disturbances, doors, tasks
 from experiments.simulation import NOMINAL, Conditions
 from pliant import Settings
 
-#: Delay of a tick each way; friction and damping assumed 30 % too low, and 30 % too high.
+#: One tick of delay for reading and for writing, and friction and damping assumed 30 % too low or
+#: too high.
 HARDWARE = [Conditions(delay=(1, 1), believed=share) for share in (0.7, 1.3)]
 STIFF = Settings.firm()
 conditions = pytest.mark.parametrize(
@@ -95,7 +96,7 @@ def test_hand_over(conditions):
 
 
 def test_an_object_is_not_dropped_by_its_own_weight():
-    """With the preset `soft`, the unknown weight alone moves the tool as a taking hand would."""
+    """With the preset `soft` instead, the unknown weight alone moves the tool."""
     assert tasks.hand_over(Settings.soft("xyz")).sag > 3.0 * 0.010  # [m], measured 0.052
 
 

@@ -13,12 +13,12 @@ from pliant.sim.postures import AT_DOOR, HORIZONTAL, VERTICAL
 RANDOM = cap_accuracy.poses(4, cap_accuracy.CLEAR)
 #: Axis, side and cap [N, N·m].
 PUSHES = (("y", 1.0, 8.0), ("y", -1.0, 5.0), ("z", 1.0, 8.0), ("x", -1.0, 8.0), ("yaw", 1.0, 1.0))
-#: Tolerance above cap and friction, as a share of the cap: the push still grows while the arm
-#: starts to move.
+#: Allowed excess of a force over cap and friction, as a share of the cap: the push still grows
+#: while the arm starts to move.
 TOLERANCE = 0.15  # measured 0.10
 #: By direction of the push after a host loss: allowed deviation from the reported peak force, as a
 #: share of that force.
-DEAD = {"+y": 0.1, "-y": 0.1, "-x": 0.1, "-z": 0.1, "+x": 0.25, "+z": 0.4}
+HOST_LOSS_TOLERANCE = {"+y": 0.1, "-y": 0.1, "-x": 0.1, "-z": 0.1, "+x": 0.25, "+z": 0.4}
 
 
 def yield_forces(q, axis, sign, cap):
@@ -58,10 +58,10 @@ def test_a_growing_push_moves_the_arm_where_the_report_says(pose):
         )
 
 
-@pytest.mark.parametrize("push", DEAD)
+@pytest.mark.parametrize("push", HOST_LOSS_TOLERANCE)
 def test_the_report_foretells_what_a_dead_host_leaves(push):
     settings = controllers.cap(eta=0.0)
     report = pliant.Controller(arm(), settings).report(VERTICAL)
     reported = report.axes[push[1:]].host_loss_force[int(push[0] == "+")]
     measured = disturbances.lose_host(settings, push).force
-    assert abs(reported / measured - 1.0) < DEAD[push]
+    assert abs(reported / measured - 1.0) < HOST_LOSS_TOLERANCE[push]

@@ -1,4 +1,4 @@
-"""Steps of 10 cm of small arms with stiff axes: bounds of speed and overshoot."""
+"""Target steps of 10 cm of small arms with stiff axes: bounds on speed and overshoot."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ REPORTED_STEP = steps.Step((0.0, -0.3, 0.3, 0.9, 0.0), (0.0164, 0.0, 0.1044))
 
 
 def require_urdf(name):
-    """Skip if the URDF of a ready file is not available."""
+    """Skip the test if the URDF of the arm is not available."""
     if name in BESIDE and not (ROBOTS / BESIDE[name][0]).exists():
         pytest.skip(f"no URDF of {name} beside this checkout")
 
@@ -41,7 +41,7 @@ def test_a_vx300s_keeps_them_under_law_paper(speed):
 @pytest.mark.parametrize("speed", steps.SPEEDS)
 @pytest.mark.parametrize("law", ["cap", "impedance"])
 def test_a_vx300s_is_near_them_under_the_other_laws(law, speed):
-    """The bounds are missed: 0.155 m/s and 8.9 mm, because the friction feed-forward jumps."""
+    """The friction feed-forward jumps, so that the bounds are wider: measured 0.155 m/s, 8.9 mm."""
     require_urdf("vx300s")
     settings = steps.settings("vx300s", law, speed)
     for step in steps.steps("vx300s", COUNT):

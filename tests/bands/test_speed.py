@@ -1,4 +1,4 @@
-"""Tool speed with a bounded target speed: after it overcomes friction, the tool catches up."""
+"""Tool speed with a bounded target speed, also while the tool catches up after friction."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Position limits on the simulated arm: excursion beyond a limit, gravity at it, coming to rest."""
+"""Joints at position limits of the simulated arm: excursion, gravity, and rest after a push."""
 
 import numpy as np
 import pytest
@@ -71,7 +71,7 @@ def test_a_soft_axis_of_law_impedance_does_not_either():
 
 
 def test_gravity_is_carried_at_a_limit():
-    """A joint at its limit stays there, whichever direction its weight pulls."""
+    """A joint at its limit stays there, also if its weight pulls it away."""
     name, q = "arm7", ARMS["arm7"][0]
     model = robots.load(name)
     weight = model.gravity(q)

@@ -7,8 +7,7 @@ from experiments.poses import AXES
 from experiments.simulation import Conditions
 from pliant import NullSpace
 
-#: By axis: bound of the RMS error over the amplitude [1], and of the error of the other positions
-#: [m].
+#: Bounds by axis: RMS error over amplitude [1], and error of the other positions [m].
 CAP_SHARE = {"x": 0.025, "y": 0.035, "z": 0.06, "roll": 0.025, "pitch": 0.05, "yaw": 0.03}
 CAP_OTHERS = {"x": 0.007, "y": 0.007, "z": 0.007, "roll": 0.007, "pitch": 0.009, "yaw": 0.009}
 

@@ -1,4 +1,4 @@
-"""Motion into a wall with the default law, whose cap on the axis of contact is 15 N."""
+"""Motion into a wall with the default law and a cap of 15 N along the direction of contact."""
 
 import pytest
 

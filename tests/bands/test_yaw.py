@@ -1,4 +1,4 @@
-"""A hand turns the tool about an axis that yields; a task's orientation is followed."""
+"""A hand turns the tool about a soft axis; the tool follows a rotation of its target."""
 
 from experiments import controllers, disturbances, tracking
 from pliant.sim import TWIST_3NM

@@ -1,4 +1,4 @@
-"""Shared code of the demonstration's tests."""
+"""Fixtures for tests of the demo."""
 
 import json
 import os
@@ -32,7 +32,7 @@ def pliant_command(tmp_path):
 def quick_demo(tmp_path_factory):
     """Run the quick demo once; return its folder, the ended process, and the saved results.
 
-    `UNITS` in tests/conftest.py keeps the tests that use it on one worker.
+    `SHARED` in tests/conftest.py runs all tests that use it in one worker.
     """
     folder = tmp_path_factory.mktemp("demo")
     demo = runner(folder, "experiments.demo", PYTHONPATH=search_path())
@@ -43,7 +43,7 @@ def quick_demo(tmp_path_factory):
 
 
 def runner(folder, module, **always):
-    """Return a function that runs a module, or code, in a process of its own."""
+    """Return a function that runs a module, or `code`, in a new process."""
 
     def run(*args, code=None, **environment):
         entry = ["-c", code] if code else ["-m", module]

@@ -1,4 +1,4 @@
-"""Chapters of the demo: their measured numbers are finite and decide the verdicts."""
+"""Chapters of the demo: measured numbers are finite and determine the verdicts."""
 
 import copy
 import math

@@ -1,4 +1,4 @@
-"""Parts of the demo: verdicts, jobs, times of return, pictures of the report."""
+"""Parts of the demo: verdicts, jobs, return times, and pictures of the report."""
 
 import math
 from types import SimpleNamespace

@@ -1,4 +1,4 @@
-"""A whole run of the demo: it finishes and writes its results and a self-contained report."""
+"""A complete run of the demo writes its results and a self-contained report."""
 
 import json
 import math
@@ -17,7 +17,7 @@ EMPTY_ELEMENTS = {"meta", "br", "img", "link", "hr", "input"}
 
 
 class Page(HTMLParser):
-    """Collects a page's references and identifiers, and checks that its elements close."""
+    """Parser that collects references and ids of a page, and checks that elements are closed."""
 
     def __init__(self, text):
         super().__init__()
@@ -129,7 +129,7 @@ def test_quick_demo_of_a_small_arm(demo_command, tmp_path, robot):
     assert content["experiments"]["2"]["numbers"]["soft_axis"] == "y"
 
 
-#: One arm with five, one with six and one with seven joints; the others are marked `full`.
+#: Arms with five, six and seven joints that are always tested; the others are marked `full`.
 ALWAYS = {"so101", "ur5e", "panda"}
 
 

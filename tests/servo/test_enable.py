@@ -24,7 +24,7 @@ def servo_bus_on(bus, kind, n, patience=0.005):
 
 
 def fault_request(bus, fault, index):
-    """Apply `fault` to the request number `place`, counted from 1; return the request count.
+    """Apply `fault` to the request number `index`, counted from 1; return the request count.
 
     The count is a list of one number, which grows with each request.
     """
@@ -261,7 +261,7 @@ def test_torque_goes_off_on_a_line_that_is_never_silent(enabled, kind, disturban
     ):
         enabled(servo_bus)
         getattr(bus, disturbance)()
-        # The error says that torque off is not confirmed; with an echo there may be none.
+        # With noise, `disable` fails because torque off is not confirmed; with an echo it may pass.
         failed = False
         try:
             servo_bus.disable()
@@ -269,7 +269,7 @@ def test_torque_goes_off_on_a_line_that_is_never_silent(enabled, kind, disturban
             failed = True
         bus.sync()
         assert not any(servo.enabled for servo in bus.servos)
-        # Torque that is not confirmed off is unknown, and counts as on.
+        # Torque counts as on until torque off is confirmed.
         assert servo_bus.torque_unknown.any() is np.bool_(failed)
         assert np.array_equal(servo_bus.enabled, servo_bus.torque_unknown)
         assert (servo_bus.unrestored | ~servo_bus.torque_unknown).all()

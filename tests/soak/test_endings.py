@@ -1,4 +1,4 @@
-"""Ends of programs: by signals, errors, exits; each program is a process on an emulated bus."""
+"""Programs that end by signals, errors and exits; each is a process on an emulated bus."""
 
 from __future__ import annotations
 

@@ -11,9 +11,9 @@ pytest.importorskip("pydantic", reason="the configurations need the extra config
 from experiments.faults import FAULT_CASES, WHEN, run_fault
 
 BY_TITLE = {case.title: case for case in FAULT_CASES}
-#: Reply timeout of cases in which every servo replies, long enough for a busy computer [s].
+#: Reply timeout for cases in which every servo replies, long enough for a busy computer [s].
 REPLY_TIMEOUT = 0.3
-#: Name of a row of the table, and the reaction of the arm.
+#: Rows of the table in which the arm keeps power and host, with the reaction of the arm.
 POWERED = {
     "one reply with a wrong checksum": "goes on",
     "a policy returns NaN for goals": "is lowered",
