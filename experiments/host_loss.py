@@ -1,4 +1,4 @@
-"""Force on a hand after a host loss, against its prediction: ``python -m experiments.host_loss``.
+"""Force on a hand after a host loss, and its prediction: ``python -m experiments.host_loss``.
 
 In random poses an arm follows a moving target; in half of the poses a hand pushes the soft axis.
 Then the host is lost: the servos keep their last goals and torque limits. A hand drags the tool

@@ -1,4 +1,4 @@
-"""Checks the installed wheel against numbers of the golden file. Run by tools/aarch64.sh."""
+"""Compare the installed wheel with numbers of the golden file. Run by tools/aarch64.sh."""
 
 from __future__ import annotations
 

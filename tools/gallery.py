@@ -175,7 +175,7 @@ class Film:
         return ((low + high) / 2.0).tolist(), float(np.linalg.norm(high - low))
 
     def replay(self, path: Path, title: str) -> None:
-        """Write a page that plays the motion: bodies as primitives, a pose of each per frame."""
+        """Write a page that plays the motion: primitive shapes, and their poses in each frame."""
         import mujoco
         import numpy as np
 

@@ -1,4 +1,4 @@
-"""The end of a program: its messages, and that it ends even if standard error cannot be written."""
+"""End of a program: its messages; it also ends if standard error cannot be written."""
 
 import contextlib
 import logging
@@ -76,7 +76,7 @@ def run(program, stderr=PIPE):
 
 @contextlib.contextmanager
 def reader(kind):
-    """Return the write end of a standard error that is closed, full, or never drained."""
+    """Yield a stream for standard error that is closed, full, or never read."""
     if kind == "full":
         with open("/dev/full", "w", encoding="utf-8") as file:
             yield file

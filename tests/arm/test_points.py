@@ -1,4 +1,4 @@
-"""Points along the chain, against the core's own kinematics."""
+"""Points along the chain, compared with the kinematics of the core."""
 
 import numpy as np
 import pytest

@@ -1,7 +1,7 @@
 """Schedules of a program, its watchdog thread, signals, SIGKILL and the guardian.
 
-The code of the arm is real. Threads, locks, clocks and the pipe to the guardian are those of
-`schedules`; servos, the law of the descent and the transfer of weight are stand-ins, which take
+The tested code of the arm is the real one. Threads, locks, clocks and the pipe to the guardian are
+those of `schedules`; servos, the law of the descent and the transfer of weight are stand-ins with
 few steps.
 """
 
@@ -44,9 +44,9 @@ FILES = (
 )
 MODEL = pliant.robots.load("koch")
 SERVOS = pliant.Servos(kp=np.full(MODEL.n, 20.0), max_torque=np.full(MODEL.n, 1.0))
-#: Torque limit that only the program asks for [N·m], and one that only the descent does.
+#: Torque limit that only the program commands [N·m], and one that only the descent commands.
 PROGRAM_LIMIT, DESCENT_LIMIT = 0.123, 0.05
-#: Height of the arm in periods of the descent.
+#: Duration of a descent [periods].
 HEIGHT = 3
 INT, TERM, HUP = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
 
@@ -60,7 +60,7 @@ class Servos:
         self.port, self.faults = None, 0
 
     def check(self, drive, description):
-        """Check that the task has the arm to itself; called before every access."""
+        """Check before an access that no other task uses the arm."""
         world = self.world
         world.scheduler.retrace()
         world.scheduler.step()
@@ -74,7 +74,7 @@ class Servos:
             raise pliant.ServoError("no answer")
 
 
-#: Drives that were pickled, by id: another process opens the same servos.
+#: Pickled drives by id, for the process that opens the same servos.
 COPIES: dict[int, ServoDrive] = {}
 
 
@@ -83,7 +83,7 @@ def take_copy(number):
 
 
 class ServoDrive:
-    """Drive of `Servos`; a copy of it reopens them in the guardian."""
+    """Drive of `Servos`; the guardian reopens them with a copy."""
 
     names = tuple(MODEL.joint_names)
     servos, stiffness_known = SERVOS, np.ones(MODEL.n, dtype=bool)
@@ -156,7 +156,7 @@ class ServoDrive:
 
 
 class Descent:
-    """Stand-in for `Lowering`: `HEIGHT` periods until the arm rests."""
+    """Stand-in for `Lowering`: the arm rests after `HEIGHT` periods."""
 
     blind, phase = False, "down"
     world: World
@@ -173,7 +173,7 @@ class Descent:
 
 
 class Messages:
-    """Stand-in for the queue of messages, which are written at once."""
+    """Stand-in for the message queue that writes each message at once."""
 
     def __init__(self):
         self.texts = []
@@ -205,12 +205,12 @@ class Exits:
 
 
 class World:
-    """A program with an arm on a schedule, with a guardian or without.
+    """Program with an arm that runs by a schedule, with or without a guardian.
 
     Args:
-        patch: Where modules get their stand-ins.
-        program: Function ``(world, arm)`` in which the arm is used.
-        guardian: True: a guardian watches.
+        patch: The fixture `monkeypatch`, which puts the stand-ins into modules.
+        program: Function ``(world, arm)`` that uses the arm.
+        guardian: True: a guardian watches the program.
         on_exit: The argument of `Arm`.
     """
 
@@ -251,7 +251,7 @@ class World:
             return "left on", "user"
         if self.has_ended or arm._is_unfinished or hardware.port is None:
             return "not lowered", "guardian"
-        # Between two statements that give the arm to its next owner.
+        # The program is between two statements that hand the arm to its next owner.
         return self.states[-1]
 
     def check(self):
@@ -275,7 +275,7 @@ class World:
         return self.hardware.height == 0 and not self.hardware.on
 
     def is_excused(self):
-        """Return True if only a guardian could have lowered the arm."""
+        """Return True if torque may stay on, because only a guardian could lower the arm."""
         kinds = {kind for kind, _ in self.scheduler.plan.actions.values()}
         is_told = any("was not lowered" in text for text in self.messages.texts)
         return "kill" in kinds or ("call" in kinds and is_told)
@@ -317,7 +317,7 @@ class World:
         return scheduler.steps
 
     def _live(self):
-        """Run the program, then what the interpreter does at its end."""
+        """Run the program, then the exit handlers of the interpreter."""
         with suppress(KeyboardInterrupt, SystemExit, pliant.ServoError):
             self._program(self, self.arm)
         while self.exits.functions:
@@ -417,7 +417,7 @@ def command():
 
 
 def ticks(world, arm, count, stall):
-    """Run a loop that stalls [s] in its second tick."""
+    """Run a loop that stalls for `stall` [s] in its second tick."""
     for tick in pliant.Loop(arm, rate=20.0, duration=0.05 * count):
         tick.write(command())
         world.ending = world.scheduler.steps
@@ -440,7 +440,7 @@ def calls(world, arm, stall):
 
 
 def again(world, arm, stall):
-    """Catch Ctrl-C, and start again."""
+    """Use the arm twice; Ctrl-C ends the first use only."""
     for _ in range(2):
         with suppress(KeyboardInterrupt), arm:
             ticks(world, arm, 2, stall)
@@ -458,13 +458,13 @@ def hand_back(world, arm, stall):
 
 
 def end_at_once(world, arm, stall):
-    """Leave the ending to the end of the interpreter."""
+    """End the program without closing the arm."""
     arm.enable()
     ticks(world, arm, 2, stall)
 
 
 PROGRAMS = (with_block, calls, again, hand_back, end_at_once)
-#: Durations of a stall [s]: none; about when the watchdog thread acts; during its descent; beyond.
+#: Durations of a stall [s]: none; until about the watchdog time; into the descent; beyond it.
 STALLS = (0.0, 0.35, 0.4, 1.0)
 
 
@@ -541,7 +541,7 @@ def test_no_random_schedule_leaves_the_arm_without_an_owner(monkeypatch, first, 
 @pytest.mark.parametrize("stride", [61, pytest.param(1, marks=pytest.mark.full)])
 @pytest.mark.parametrize("guardian", [False, True])
 def test_no_single_disturbance_at_any_line_breaks_an_invariant(monkeypatch, stride, guardian):
-    """Try every action at every step, or at every `stride`-th."""
+    """Try every action at every step, or at every `stride`-th step."""
     disturbances = [("signal", INT), ("signal", TERM), ("switch", 0), ("fault", 1), ("fault", 120)]
     disturbances += [("kill", None)] * guardian
     for stall in (0.0, 0.35):
@@ -567,8 +567,8 @@ def unlocked(self, *, at_once=False):
     yield
 
 
-#: Faults seeded into the code, one line each, with the program whose ending shows them; None:
-#: random schedules show them.
+#: Faults that replace an attribute of the code, and the program whose ending detects them; None:
+#: random schedules detect them.
 MUTANTS = {
     "signals raise at the begin of `close`": (_signals.Signals, "hold", lambda _: None, None),
     "the lock is not taken for a descent": (
@@ -624,20 +624,20 @@ TRANSITIONS = table("state | event | then")
 
 
 class Story:
-    """Brings an arm into a state of the page, lets an event happen, and records what follows."""
+    """Brings an arm into a state of docs/lifecycle.md, causes an event, and records the states."""
 
     def __init__(self, patch, state, event):
         self._state, self._event, self._at = state, event, None
         self.world = World(patch, self._live, guardian=True)
 
     def run(self):
-        """Return states and owners from the event on."""
+        """Return the states and owners after the event."""
         self.world.run(Plan())
         assert self._at is not None, f"never {self._state}"
         return self.world.states[self._at :]
 
     def _happen(self, arm):
-        """Let the event happen in the state."""
+        """Cause the event in the awaited state."""
         world, event = self.world, self._event
         world.watch = lambda state: None
         if not world.states:
@@ -668,7 +668,7 @@ class Story:
             world.scheduler.step()
 
     def _again(self):
-        """Press Ctrl-C again, later than a key that repeats."""
+        """Press Ctrl-C again, after the time in which repeated signals count as one."""
         self.world.hardware.height = 100
         self.world.scheduler.wait(deadline=self.world.scheduler.now + 1.0)
         self.world.scheduler.pending.append(INT)

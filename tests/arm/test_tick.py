@@ -1,4 +1,4 @@
-"""Cost of a tick by number of calls, and the limits of commands against a computation in NumPy."""
+"""Number of calls per tick, and command limits compared with a computation in NumPy."""
 
 import importlib
 from pathlib import Path

@@ -25,7 +25,7 @@ def toml(port, *, joints=JOINTS, model="STS3215-7.4V", extra=""):
 
 @pytest.fixture
 def error_texts(tmp_path, capsys):
-    """Return a function: it returns the messages of three commands about a configuration text."""
+    """Return a function that returns the errors of three commands for a configuration text."""
 
     def ask(text):
         file = tmp_path / "arm.toml"

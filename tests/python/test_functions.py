@@ -1,4 +1,4 @@
-"""`pliant.functional` against NumPy, and properties of its functions."""
+"""`pliant.functional` compared with NumPy, and properties of its functions."""
 
 from __future__ import annotations
 

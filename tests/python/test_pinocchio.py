@@ -1,4 +1,4 @@
-"""Kinematics and gravity against Pinocchio, on built-in arms and real robots."""
+"""Kinematics and gravity compared with Pinocchio, on built-in arms and real robots."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`pliant foxglove` against a WebSocket client that speaks Foxglove's protocol."""
+"""`pliant foxglove` with a WebSocket client that speaks Foxglove's protocol."""
 
 from __future__ import annotations
 

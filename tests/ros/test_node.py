@@ -1,4 +1,4 @@
-"""`pliant ros` against zenoh-ros2-sdk, another implementation of rmw_zenoh's protocol."""
+"""`pliant ros` with a client of zenoh-ros2-sdk, another implementation of rmw_zenoh's protocol."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ def test_stiffness_from_the_client_changes_the_springs_of_law_impedance(
             description="the change of the stiffness",
         )
         assert springs.controller.axes["y"].stiffness == before["y"].stiffness
-        # The name of CRISP's controllers for the same number.
+        # In CRISP's controllers this parameter has the name `task.k_pos_x`.
         reply = answer(
             springs,
             lambda: client.call("/pliant/get_parameters", "GetParameters", names=["task.k_pos_x"]),

@@ -1,4 +1,4 @@
-"""Names, hashes and bytes of `pliant.ros.wire` against published values and other libraries."""
+"""`pliant.ros.wire`: names, hashes and bytes equal published values and other libraries."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`ServoCodec` against the conversions of `Units`, and its check of positions."""
+"""`ServoCodec` compared with the conversions of `Units`, and its check of positions."""
 
 import math
 from math import floor, pi

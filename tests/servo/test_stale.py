@@ -7,16 +7,16 @@ from pliant.servo import BusError
 from pliant.servo._transactions import Reply, TransactionGuard
 from pliant.servo.models import get_model
 
-#: Number of reply bytes with the time of the request [µs], which the servos report as position.
+#: Size of the position that servos report [byte]: here it is the time of the request [µs].
 STAMP = 8
 
 
 class LateLine:
-    """A serial line with its own time whose replies are delayed.
+    """Serial line with delayed replies, in simulated time.
 
     Args:
         ids: Servos.
-        held: Function from the time at which a byte is sent to the time at which it arrives [s].
+        arrival: Function that returns the arrival time of a byte sent at a given time [s].
         keeps_order: True if replies arrive in the order in which they were sent.
     """
 
@@ -29,7 +29,7 @@ class LateLine:
         return self.now
 
     def _ask(self, ids, size):
-        # Discard what has arrived by now, as rustypot does before a request.
+        # Discard bytes that have arrived, as rustypot does before a request.
         self._coming = [packet for packet in self._coming if packet[0] > self.now]
         for k, id in enumerate(ids):
             if id in self.ids:
@@ -78,7 +78,7 @@ class LateLine:
 
 
 def stalls(rng, longest):
-    """Return the argument `held` of a `LateLine` that stalls at random, up to `longest` [s].
+    """Return the argument `arrival` of a `LateLine` that stalls at random, up to `longest` [s].
 
     Bytes sent during a stall arrive at its end.
     """
