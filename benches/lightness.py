@@ -98,8 +98,8 @@ def main() -> None:
         line(f"pliant {flags}", starts("-m", "pliant.cli", *flags.split()))
     numpy_alone = memory("")
     print(f"memory of numpy               {numpy_alone:8.1f} MB")
-    memory_ = memory(CONTROLLER) - numpy_alone
-    print(f"memory of a running controller{memory_:8.1f} MB more")
+    growth = memory(CONTROLLER) - numpy_alone
+    print(f"memory of a running controller{growth:8.1f} MB more")
     for wheel in sorted((ROOT / "build").glob("**/wheels/*.whl")):
         print(f"{wheel.stat().st_size / 1e6:.2f} MB  {wheel.name}")
 

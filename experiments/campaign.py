@@ -466,9 +466,9 @@ def gears(arm: str) -> tuple[Disturbance, Disturbance]:
 @lru_cache(maxsize=2)
 def _bench(arm: str, disturbance: str) -> Bench:
     """Return the `Bench` of an arm under a disturbance; consecutive jobs share it."""
-    known = {disturbance_.name: disturbance_ for disturbance_ in (UNDISTURBED, *DISTURBANCES)}
+    known = {option.name: option for option in (UNDISTURBED, *DISTURBANCES)}
     if disturbance not in known:
-        known |= {disturbance_.name: disturbance_ for disturbance_ in gears(arm)}
+        known |= {option.name: option for option in gears(arm)}
     return Bench(load(arm), known[disturbance])
 
 

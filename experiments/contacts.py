@@ -504,13 +504,13 @@ def draw(folder: Path, rows: Sequence[RuleResult]) -> None:
 
     cases = list(dict.fromkeys(row.case for row in rows))
     columns = min(len(cases), 4)
-    rows_ = -(-len(cases) // columns)
+    row_count = -(-len(cases) // columns)
     styles = {
         "force": ("threshold [N]", style.ORANGE),
         "guarded": ("share of the bound", style.BLUE),
         "evidence": ("share of a joint's bound", style.GREEN),
     }
-    with style.canvas(rows_, columns, size=(style.WIDE, 3.1 * rows_)) as (figure, axes):
+    with style.canvas(row_count, columns, size=(style.WIDE, 3.1 * row_count)) as (figure, axes):
         panels = [ax for line in axes for ax in line]
         for ax in panels[len(cases) :]:
             ax.set_visible(False)
@@ -631,10 +631,10 @@ def main(
         number, duration = round(share * contacts), round(share * minutes)
         if min(number, duration) < 1:
             continue
-        results_, facts[case.name] = measure(case, number, duration, jobs)
-        print(text(results_), flush=True)
+        rule_results, facts[case.name] = measure(case, number, duration, jobs)
+        print(text(rule_results), flush=True)
         print({name: round(value, 4) for name, value in facts[case.name].items()}, flush=True)
-        rows += results_
+        rows += rule_results
     options = {"contacts": contacts, "minutes": minutes, "facts": facts}
     program.write_results(out, {**options, "rows": [asdict(row) for row in rows]})
     draw(out, rows)

@@ -73,7 +73,7 @@ def run(
     )
     with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task("experiments", total=None)
-        demonstration_ = demonstration.run(
+        outcome = demonstration.run(
             out,
             subject=subject,
             only=selected,
@@ -82,7 +82,7 @@ def run(
             on_total=lambda steps: bar.update(task, total=steps),
             on_step=lambda _: bar.advance(task),
         )
-    _close(console, demonstration_)
+    _close(console, outcome)
 
 
 def numbers(text: str) -> tuple[int, ...]:

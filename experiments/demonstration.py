@@ -135,17 +135,17 @@ def run(
         replace(job, key=f"{number}:{job.key}") for number, runs in planned.items() for job in runs
     ]
     outcomes = run_by_key(all_jobs, jobs, progress=on_step)
-    outcomes_ = {
+    chapter_outcomes = {
         number: {job.key: outcomes[f"{number}:{job.key}"] for job in runs}
         for number, runs in planned.items()
     }
     drawing = [
-        Job(f"figures of {number}", module.draw, (outcomes_[number], options))
+        Job(f"figures of {number}", module.draw, (chapter_outcomes[number], options))
         for number, module in experiments.items()
     ]
     run_by_key(drawing, jobs, progress=on_step)
     chapters = tuple(
-        module.chapter(module.measure(outcomes_[n])) for n, module in experiments.items()
+        module.chapter(module.measure(chapter_outcomes[n])) for n, module in experiments.items()
     )
     for chapter in chapters:
         # Fail here if a measured number is not finite. `results.json` may only have infinite

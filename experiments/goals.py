@@ -106,8 +106,8 @@ def sinusoids(law: Callable[..., disturbances.Law]) -> Measure:
     def measure(conditions: Conditions) -> Figures:
         result = [tracking.track(law(soft=a, eta=0.0), a, conditions=conditions) for a in AXES]
         return {
-            "rms / amplitude": max(result_.share for result_ in result),
-            "other positions [mm]": 1e3 * max(result_.position for result_ in result),
+            "rms / amplitude": max(run.share for run in result),
+            "other positions [mm]": 1e3 * max(run.position for run in result),
         }
 
     return measure

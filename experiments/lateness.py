@@ -182,9 +182,13 @@ def main(*, seconds: float = 10.0, rounds: int = 3, client: str = "") -> None:
     columns = ("SO-101, 100 Hz", "ticks", "late 50 % [ms]", "99 %", "99.9 %", "missed")
     rows = []
     for combination in combinations:
-        cells_ = [f"{1e3 * combination.late.percentile(share):.2f}" for share in (50.0, 99.0, 99.9)]
+        latenesses = [
+            f"{1e3 * combination.late.percentile(share):.2f}" for share in (50.0, 99.0, 99.9)
+        ]
         rate = f"{combination.sent / combination.seconds:.0f}"
-        rows.append((combination.name, len(combination.late), *cells_, combination.missed, rate))
+        rows.append(
+            (combination.name, len(combination.late), *latenesses, combination.missed, rate)
+        )
     print(program.markdown((*columns, "snapshots/s"), rows))
     print(f"load of the machine: {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors")
 

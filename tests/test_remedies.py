@@ -260,10 +260,10 @@ def members(name: str) -> list[object]:
         item for module in MODULES for item in vars(module).values() if isinstance(item, type)
     }
     lazy = {
-        getattr(module, name_)
+        getattr(module, exported)
         for module in MODULES
-        for name_ in getattr(module, "__all__", ())
-        if isinstance(getattr(module, name_, None), type)
+        for exported in getattr(module, "__all__", ())
+        if isinstance(getattr(module, exported, None), type)
     }
     return matches + [getattr(item, name) for item in classes | lazy if hasattr(item, name)]
 

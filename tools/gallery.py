@@ -26,8 +26,8 @@ sys.path.insert(0, str(ROOT))
 EXAMPLES, GALLERY = ROOT / "examples", ROOT / "docs" / "gallery"
 #: Examples whose page has a replay: a file of about 100 KB each.
 REPLAYED = ("01", "07")
-#: Replay: time between two frames [s] and maximum number of frames. Strip: number of frames.
-EVERY, MOST, STRIP = 0.05, 240, 4
+#: Time between two frames of a replay [s], largest number of its frames, and frames of a strip.
+PERIOD, MAX_FRAMES, STRIP_FRAMES = 0.05, 240, 4
 #: Timeout of an example [s].
 LONGEST = 600.0
 
@@ -98,7 +98,7 @@ class Film:
         plant = self.plant
         if self.frames and plant.time < self.frames[-1]["time"]:
             self.frames.clear()
-        if self.frames and plant.time - self.frames[-1]["time"] < EVERY - 1e-9:
+        if self.frames and plant.time - self.frames[-1]["time"] < PERIOD - 1e-9:
             return
         data = plant.mj_data
         self.frames.append(
@@ -150,7 +150,7 @@ class Film:
         centre, size = self.scene()
         with Studio(self.plant, size=(330, 280), look_at=centre, distance=1.45 * size) as studio:
             pictures = []
-            for frame in self.telling(STRIP):
+            for frame in self.telling(STRIP_FRAMES):
                 self.show(frame)
                 pixels = studio.picture(frame["q"]).astype(float)
                 cover = pixels[:, :, 3:] / 255.0
@@ -165,7 +165,7 @@ class Film:
 
         model, data = self.plant.mj_model, self.plant.mj_data
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
-        for frame in self.telling(STRIP):
+        for frame in self.telling(STRIP_FRAMES):
             self.show(frame)
             mujoco.mj_kinematics(model, data)
             solid = model.geom_rbound > 0.0  # a plane has no size
@@ -198,7 +198,7 @@ class Film:
             for g in range(model.ngeom)
             if int(model.geom_type[g]) in kinds and model.geom_rgba[g][3] > 0.0
         ]
-        step = max(1, -(-len(self.frames) // MOST))
+        step = max(1, -(-len(self.frames) // MAX_FRAMES))
         frames, forces = [], []
         for frame in self.frames[::step]:
             data.qpos[:] = frame["qpos"]
@@ -208,7 +208,7 @@ class Film:
             forces.append([[*np.round(p, 3), *np.round(f, 2)] for p, f in frame["hands"]])
         centre, size = self.scene()
         film = {
-            "step": EVERY * step,
+            "step": PERIOD * step,
             "shapes": shapes,
             "frames": frames,
             "forces": forces,

@@ -164,7 +164,9 @@ def versions() -> str:
         file = path.relative_to(ROOT).as_posix()
         stated[file] = toml_entry(file, "project", "version")
     differences = [
-        f"{file} has {version_}" for file, version_ in stated.items() if version_ != version
+        f"{file} has {stated_version}"
+        for file, stated_version in stated.items()
+        if stated_version != version
     ]
     if differences:
         raise CheckError(f"Cargo.toml has version {version}, but {', '.join(differences)}")

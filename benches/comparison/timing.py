@@ -84,16 +84,16 @@ class TimedProcess:
             text=True,
             env=environment,
         )
-        process_ = cls(entry, process)
-        first = process_._answer()
+        timed_process = cls(entry, process)
+        first = timed_process._answer()
         if "missing" in first:
             return None, first["missing"]
         difference = disagreement(first["results"])
         if difference:
-            process_.stop()
+            timed_process.stop()
             return None, f"DISAGREES with the reference: {difference}"
-        process_.version = first["version"]
-        return process_, ""
+        timed_process.version = first["version"]
+        return timed_process, ""
 
     def ask(self, task: str, seconds: float) -> list[float]:
         """Time a task in the process for about `seconds`; return times per call [ns]."""

@@ -133,17 +133,19 @@ def load(source: Source) -> Arm:
     Raises:
         PliantError: The URDF is rejected, or no pose lets the soft axis move.
     """
-    arm_ = arms.Arm(source.name, robots.load(source.name)) if source.name else None
+    plain_arm = arms.Arm(source.name, robots.load(source.name)) if source.name else None
     notes: tuple[str, ...] = ()
-    if arm_ is None:
+    if plain_arm is None:
         model, notes = _from_urdf(source)
-        arm_ = arms.Arm(model.name, model)
-    if arm_.model.n < 2:
-        raise ConfigError(f"the chain has {arm_.model.n} joint; the experiments need at least 2")
-    soft = "y" if "y" in arm_.axes else "x"
-    distance = float(np.clip(WAY_SHARE * arm_.model.reach, *WAY_RANGE))
-    pose, distance = _find_pose(arm_, soft, distance)
-    return Arm(arm_.name, arm_.model, soft, pose, distance, notes)
+        plain_arm = arms.Arm(model.name, model)
+    if plain_arm.model.n < 2:
+        raise ConfigError(
+            f"the chain has {plain_arm.model.n} joint; the experiments need at least 2"
+        )
+    soft = "y" if "y" in plain_arm.axes else "x"
+    distance = float(np.clip(WAY_SHARE * plain_arm.model.reach, *WAY_RANGE))
+    pose, distance = _find_pose(plain_arm, soft, distance)
+    return Arm(plain_arm.name, plain_arm.model, soft, pose, distance, notes)
 
 
 def _from_urdf(source: Source) -> tuple[pliant.Model, tuple[str, ...]]:

@@ -90,7 +90,7 @@ def test_state_arrives_with_names_frames_and_values(running, client):
 
 def test_description_arrives_at_a_subscriber_that_comes_later(running, client):
     messages = []
-    # As rmw_zenoh subscribes to a transient-local topic.
+    # Subscribe as rmw_zenoh does for a transient-local topic.
     subscriber = zenoh.ext.declare_advanced_subscriber(
         client.session.session,
         wire.key_expression(0, "/robot_description", "std_msgs/msg/String"),

@@ -89,8 +89,8 @@ def test_two_pages_on_one_machine_are_open_at_once():
         for link in (first, second, first):
             page, _, token = link.address.partition("/#token=")
             address = f"{page.replace('http', 'ws')}/?token={token}"
-            with connect(address, origin=page, subprotocols=["viser-v1"]) as socket_:
-                sockets.append(socket_.response.status_code)
+            with connect(address, origin=page, subprotocols=["viser-v1"]) as page_socket:
+                sockets.append(page_socket.response.status_code)
         assert sockets == [101, 101, 101]
         page, token = first.address.partition("/#")[0], second.address.partition("token=")[2]
         with pytest.raises(InvalidStatus):
