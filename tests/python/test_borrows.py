@@ -73,16 +73,16 @@ NAMES = list(uses(*make_objects()))
 @pytest.mark.parametrize("name", NAMES)
 def test_arguments_may_use_the_controller_that_reads_them(name):
     controller, contact, target = make_objects()
-    concurrent_call = uses(controller, contact, target)[name]
+    inner_call = uses(controller, contact, target)[name]
     calls = [
-        lambda: controller.step(Q, Accessor(concurrent_call)),
-        lambda: controller.step(Array(concurrent_call), target),
-        lambda: controller.step(Q, target, dq=Array(concurrent_call)),
-        lambda: controller.step_joints(Q, Array(concurrent_call)),
-        lambda: controller.reset(Array(concurrent_call)),
-        lambda: controller.capture_gravity(Q, Array(concurrent_call)),
-        lambda: contact.update(Array(concurrent_call)),
-        lambda: contact.uncertainty_at(Array(concurrent_call)),
+        lambda: controller.step(Q, Accessor(inner_call)),
+        lambda: controller.step(Array(inner_call), target),
+        lambda: controller.step(Q, target, dq=Array(inner_call)),
+        lambda: controller.step_joints(Q, Array(inner_call)),
+        lambda: controller.reset(Array(inner_call)),
+        lambda: controller.capture_gravity(Q, Array(inner_call)),
+        lambda: contact.update(Array(inner_call)),
+        lambda: contact.uncertainty_at(Array(inner_call)),
     ]
     for call in calls:
         call()

@@ -51,7 +51,7 @@ def test_target_moves_the_tool(script):
     session = Session(Simulated("arm7", paced=False), link)
     displacements = {}
 
-    def heard(number):
+    def messages_of_call(number):
         if number == 10:
             pose = session.home.copy()
             pose[:3, 3] += (0.0, 0.0, 0.05)
@@ -59,17 +59,17 @@ def test_target_moves_the_tool(script):
             return [messages.Target(pose)]
         return [END] if number == 400 else []
 
-    link.messages = counted(link, heard)
+    link.messages = by_call_number(link, messages_of_call)
     session.run(1)
     snapshot = link.running[-1]
     assert np.linalg.norm(snapshot.tool[:3, 3] - displacements["to"][:3, 3]) < 0.004
     np.testing.assert_allclose(snapshot.step.target, displacements["to"])
 
 
-def counted(link, counter):
+def by_call_number(link, messages_of_call):
     def orders_of_this_tick():
         link.calls += 1
-        return counter(link.calls)
+        return messages_of_call(link.calls)
 
     return orders_of_this_tick
 
@@ -101,7 +101,7 @@ def test_grab_pulls_a_point_of_the_arm_and_lets_go(script):
     link = script({})
     session = Session(Simulated("arm7", paced=False), link)
 
-    def heard(number):
+    def messages_of_call(number):
         if number == 10:
             body = session._robot.plant.mj_model.site("tool").bodyid[0]
             position = session._robot.plant.tool[:3, 3]
@@ -111,7 +111,7 @@ def test_grab_pulls_a_point_of_the_arm_and_lets_go(script):
             return [messages.LetGo()]
         return [END] if number == 200 else []
 
-    link.messages = counted(link, heard)
+    link.messages = by_call_number(link, messages_of_call)
     session.run(1)
     snapshots = [s for s in link.running if s.hand_force is not None]
     assert snapshots
@@ -163,12 +163,12 @@ def test_target_out_of_reach_is_reported_and_the_old_one_kept(script, unreachabl
     reachable = (0.0, 0.0, -0.02)
     schedule = {10: reachable, 40: unreachable, 80: (0.0, 0.0, 0.01)}
 
-    def heard(number):
+    def messages_of_call(number):
         if number in schedule:
             return [messages.Target(moved(session.home, *schedule[number]))]
         return [END] if number == 120 else []
 
-    link.messages = counted(link, heard)
+    link.messages = by_call_number(link, messages_of_call)
     session.run(1)
     notified = [s for s in link.running if s.notice[1]]
     assert notified
@@ -185,12 +185,12 @@ def test_target_that_only_the_core_refuses_does_not_end_the_life(script, monkeyp
     session = Session(Simulated("so101", paced=False), link)
     monkeypatch.setattr("pliant.view.messages.check_target", lambda message, _: message.pose)
 
-    def heard(number):
+    def messages_of_call(number):
         if number == 20:
             return [messages.Target(moved(session.home, 150.0, 0.0, 0.0))]
         return [END] if number == 60 else []
 
-    link.messages = counted(link, heard)
+    link.messages = by_call_number(link, messages_of_call)
     session.run(1)
     assert "target" in link.running[-1].notice[1]
     np.testing.assert_array_equal(link.running[-1].step.target, session.home)
@@ -317,7 +317,7 @@ def test_arm_is_lowered_when_the_page_is_gone(script):
             raise PageGone("the page's process has ended")
         return []
 
-    link.messages = counted(link, gone)
+    link.messages = by_call_number(link, gone)
     session = Session(Simulated("arm7", paced=False), link)
     with pytest.raises(PageGone):
         session.run(1)
