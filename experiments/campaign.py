@@ -773,7 +773,7 @@ def gears_text() -> str:
         "friction of the table": NOMINAL,
         "gears as they are": Conditions(gears=gears),
         "identified": Conditions(gears=gears, gears_known=True),
-        "assumed × 0.7": Conditions(gears=gears, gears_known=True, believed=0.7),
+        "assumed × 0.7": Conditions(gears=gears, gears_known=True, assumed_ratio=0.7),
         "identified, a tick each way": Conditions(gears=gears, gears_known=True, delay=(1, 1)),
     }
     return goals.comparison(measures, conditions)

@@ -163,7 +163,7 @@ def after_host_loss(conditions: Conditions) -> Figures:
 # --- Table of the goals ---
 
 #: Conditions with a delay of one tick each way and errors of friction and damping.
-UNCERTAIN = tuple(Conditions(delay=(1, 1), believed=share) for share in (0.7, 1.0, 1.3))
+UNCERTAIN = tuple(Conditions(delay=(1, 1), assumed_ratio=share) for share in (0.7, 1.0, 1.3))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -460,7 +460,7 @@ def text(rows: list[Row]) -> str:
 
 #: Compared control rates [Hz], delays of readings and of commands [ticks], and ratios of assumed to
 #: true friction and damping.
-RATES, TICKS, BELIEVED = (100.0, 200.0), (0, 1), (0.7, 1.0, 1.3)
+RATES, TICKS, ASSUMED_RATIOS = (100.0, 200.0), (0, 1), (0.7, 1.0, 1.3)
 RATE_SCENES = {
     "15 N hand, η 0.999": measure_drag(controllers.cap(), DRAG_15N),
     "door, rigid grip, `cap`": door("door"),
@@ -469,10 +469,10 @@ RATE_SCENES = {
 
 
 def rate_conditions() -> list[Conditions]:
-    """Return the conditions for all combinations of `RATES`, `TICKS` and `BELIEVED`."""
+    """Return the conditions for all combinations of `RATES`, `TICKS` and `ASSUMED_RATIOS`."""
     return [
-        Conditions(rate=rate, delay=(ticks, ticks), believed=believed)
-        for rate, ticks, believed in product(RATES, TICKS, BELIEVED)
+        Conditions(rate=rate, delay=(ticks, ticks), assumed_ratio=assumed_ratio)
+        for rate, ticks, assumed_ratio in product(RATES, TICKS, ASSUMED_RATIOS)
     ]
 
 
@@ -483,8 +483,8 @@ def rates_text(only: str = "") -> str:
     """
     conditions = rate_conditions()
     names = [
-        f"{condition.rate:g} Hz{', 1+1' if condition.delay[0] else ''}, × {condition.believed:g}"
-        for condition in conditions
+        f"{each.rate:g} Hz{', 1+1' if each.delay[0] else ''}, × {each.assumed_ratio:g}"
+        for each in conditions
     ]
     measures = {scene: measure for scene, measure in RATE_SCENES.items() if only in scene}
     return comparison(measures, dict(zip(names, conditions, strict=True)))

@@ -32,8 +32,8 @@ SOFT, FIRM = 4.0, 15.0
 UNDER: dict[str, Conditions] = {
     "nominal": NOMINAL,
     "tick each way": TICK_EACH_WAY,
-    "assumed × 0.7": Conditions(delay=(1, 1), believed=0.7),
-    "assumed × 1.3": Conditions(delay=(1, 1), believed=1.3),
+    "assumed × 0.7": Conditions(delay=(1, 1), assumed_ratio=0.7),
+    "assumed × 1.3": Conditions(delay=(1, 1), assumed_ratio=1.3),
 }
 
 

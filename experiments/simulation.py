@@ -200,7 +200,7 @@ class Conditions:
     Attributes:
         rate: Control rate [Hz].
         delay: Delays of readings and of commands [ticks], known to the controller.
-        believed: Ratio of assumed to true friction and damping.
+        assumed_ratio: Ratio of assumed to true friction and damping.
         encoder_step: Angle of an encoder count [rad], known to the controller; 0: exact readings.
         gears: True friction that depends on speed and load; None: that of the servo table.
         gears_known: True if the controller knows the friction `gears`.
@@ -210,7 +210,7 @@ class Conditions:
 
     rate: float = 100.0
     delay: tuple[int, int] = (0, 0)
-    believed: float = 1.0
+    assumed_ratio: float = 1.0
     encoder_step: float = 0.0
     gears: Friction | None = None
     gears_known: bool = False
@@ -238,8 +238,8 @@ class Conditions:
         true = servos()
         if self.gears is not None and self.gears_known:
             true = self.gears.assumed(true)
-        return scaled(true, self.believed, self.believed).replace(
-            kv=self.believed * np.asarray(true.kv), encoder_step=self.encoder_step
+        return scaled(true, self.assumed_ratio, self.assumed_ratio).replace(
+            kv=self.assumed_ratio * np.asarray(true.kv), encoder_step=self.encoder_step
         )
 
     def controller(self, law: pliant.Settings | FromModel) -> Controlling:

@@ -77,7 +77,7 @@ def under(conditions: Conditions) -> Mismatch:
     """
     delay = sum(conditions.delay) / conditions.rate
     plant = Parameters(delay=delay, gears=conditions.gears)
-    ratio = conditions.believed
+    ratio = conditions.assumed_ratio
     gears = conditions.gears if conditions.gears_known else None
     assumed = Parameters(delay=delay, friction=ratio, damping=ratio, gears=gears)
     return Mismatch(plant=plant, assumed=assumed)

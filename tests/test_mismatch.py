@@ -147,7 +147,7 @@ def cases():
                 lambda e=entry, o=condition: e.measure(o),
             )
     for condition in goals.rate_conditions():
-        if condition.believed == 1.0:
+        if condition.assumed_ratio == 1.0:
             continue
         yield (
             f"rates {condition}",
@@ -158,10 +158,10 @@ def cases():
         )
     for condition in (
         Conditions(gears=GEARS),
-        Conditions(gears=GEARS, gears_known=True, believed=0.7),
+        Conditions(gears=GEARS, gears_known=True, assumed_ratio=0.7),
     ):
         yield (
-            f"gears {condition.believed}",
+            f"gears {condition.assumed_ratio}",
             under(condition),
             lambda condition=condition: goals.door("door")(condition),
         )

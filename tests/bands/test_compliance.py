@@ -14,7 +14,7 @@ SOFT, FIRM = 4.0, 15.0  # [N]
 #: Joint friction that the feed-forward does not compensate, as a force along y, plus a margin [N].
 FRICTION = 1.8
 DEVIATIONS = (0.005, 0.02, 0.04, 0.055, 0.07, 0.09, 0.11, 0.13)  # [m]
-NEARLY = [NOMINAL, *(Conditions(delay=(1, 1), believed=share) for share in (0.7, 1.3))]
+NEARLY = [NOMINAL, *(Conditions(delay=(1, 1), assumed_ratio=share) for share in (0.7, 1.3))]
 
 
 def expected_force(profile, deviation):

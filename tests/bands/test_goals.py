@@ -30,7 +30,7 @@ def test_a_stiffer_hold_keeps_the_drift_with_overestimated_friction():
     ]
     assert [row.figure for row in rows] == ["force [N]", "drift [mm]"]
     assert all(row.met for row in rows)  # measured 7.36 N of 7.5, 3.33 mm of 4.0
-    (too_high,) = (condition for condition in goals.UNCERTAIN if condition.believed > 1.0)
+    (too_high,) = (condition for condition in goals.UNCERTAIN if condition.assumed_ratio > 1.0)
     with under(too_high):
         stiffer, default = (
             goals.measure_drag(controllers.cap(**options), DRAG_15N)(too_high)["drift [mm]"]
@@ -44,7 +44,9 @@ def test_drag_and_door_run_at_every_rate_delay_and_assumption():
     conditions = goals.rate_conditions()
     assert len(conditions) == 12
     assert (
-        len({(condition.rate, condition.delay, condition.believed) for condition in conditions})
+        len(
+            {(condition.rate, condition.delay, condition.assumed_ratio) for condition in conditions}
+        )
         == 12
     )
     lines = goals.rates_text("nothing of this name").splitlines()

@@ -11,7 +11,7 @@ from pliant import Settings
 
 #: One tick of delay for reading and for writing, and friction and damping assumed 30 % too low or
 #: too high.
-HARDWARE = [Conditions(delay=(1, 1), believed=share) for share in (0.7, 1.3)]
+HARDWARE = [Conditions(delay=(1, 1), assumed_ratio=share) for share in (0.7, 1.3)]
 STIFF = Settings.firm()
 conditions = pytest.mark.parametrize(
     "conditions",

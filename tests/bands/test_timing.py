@@ -76,7 +76,7 @@ def test_cap_does_not_ring_with_a_delay(loop, axis):
 @pytest.mark.parametrize("loop", LOOP_TIMINGS)
 def test_cap_with_friction_known_to_30_percent(loop, ratio):
     conditions = Conditions(
-        rate=LOOP_TIMINGS[loop].rate, delay=LOOP_TIMINGS[loop].delay, believed=ratio
+        rate=LOOP_TIMINGS[loop].rate, delay=LOOP_TIMINGS[loop].delay, assumed_ratio=ratio
     )
     delay = sum(conditions.delay) / conditions.rate
     assumed = Parameters(friction=ratio, damping=ratio, delay=delay)
