@@ -117,60 +117,42 @@ def cases():
         yield f"float {kp}", plant(kp=kp), lambda kp=kp: hand_guiding.guide("so101", 0, kp)
     for arm in teaching.ARMS:
         yield f"teach {arm}", plant(kp=0.8), lambda arm=arm: teaching.replay(arm, 0.8, True, 1.0)
-    for condition in (*campaign.DISTURBANCES, *campaign.gears("arm7")):
-        if (
-            condition.wrong
-            or condition.payload
-            or (condition.gears is not None and not condition.gears_known)
-        ):
-            gap = plant(kp=condition.kp, payload=condition.payload, gears=condition.gears)
-            yield f"campaign {condition.name}", gap, lambda condition=condition: promise(condition)
+    for each in (*campaign.DISTURBANCES, *campaign.gears("arm7")):
+        if each.wrong or each.payload or (each.gears is not None and not each.gears_known):
+            gap = plant(kp=each.kp, payload=each.payload, gears=each.gears)
+            yield f"campaign {each.name}", gap, lambda each=each: promise(each)
     for case in (contacts.MAIN, *contacts.OTHERS):
         if case.friction or case.kp:
             gap, bench = contact_gap(case), contacts.Bench(case)
             yield f"contact {case.name}", gap, lambda bench=bench: bench.contact(0)
-    for name, condition in presets.UNDER.items():
+    for name, each in presets.UNDER.items():
         if "assumed" not in name:
             continue
         for preset, (law, scene) in presets.SCENES.items():
-            yield (
-                f"{preset} {name}",
-                under(condition),
-                lambda o=condition, law=law, s=scene: s(law, o),
-            )
+            yield f"{preset} {name}", under(each), lambda o=each, law=law, s=scene: s(law, o)
     for entry in goals._ENTRIES:
-        has_second_goal = any(second is not None for _, second in entry.goals.values())
-        for condition in (goals.UNCERTAIN[0], goals.UNCERTAIN[2]) if has_second_goal else ():
-            yield (
-                f"goals {entry.scenario}",
-                under(condition),
-                lambda e=entry, o=condition: e.measure(o),
-            )
-    for condition in goals.rate_conditions():
-        if condition.assumed_ratio == 1.0:
+        has_second = any(second is not None for _, second in entry.goals.values())
+        for each in (goals.UNCERTAIN[0], goals.UNCERTAIN[2]) if has_second else ():
+            yield f"goals {entry.scenario}", under(each), lambda e=entry, o=each: e.measure(o)
+    for each in goals.rate_conditions():
+        if each.assumed_ratio == 1.0:
             continue
         yield (
-            f"rates {condition}",
-            under(condition),
-            lambda condition=condition: disturbances.drag(
-                controllers.cap(), DRAG_15N, conditions=condition
-            ),
+            f"rates {each}",
+            under(each),
+            lambda each=each: disturbances.drag(controllers.cap(), DRAG_15N, conditions=each),
         )
-    for condition in (
+    for each in (
         Conditions(gears=GEARS),
         Conditions(gears=GEARS, gears_known=True, assumed_ratio=0.7),
     ):
-        yield (
-            f"gears {condition.assumed_ratio}",
-            under(condition),
-            lambda condition=condition: goals.door("door")(condition),
-        )
-    for name, condition in comparison._stresses(NOMINAL).items():
+        yield f"gears {each.assumed_ratio}", under(each), lambda each=each: goals.door("door")(each)
+    for name, each in comparison._stresses(NOMINAL).items():
         if name != "stall":
             yield (
                 f"gears {name}",
-                stress_gap(condition),
-                lambda o=condition: disturbances.drag(controllers.cap(), conditions=o),
+                stress_gap(each),
+                lambda o=each: disturbances.drag(controllers.cap(), conditions=o),
             )
     for name, kp, friction, _ in steps.DISTURBED:
         if (kp, friction) != (1.0, 1.0):
