@@ -304,13 +304,8 @@ class Bench:
         target = model.forward_kinematics(q)
         last = START + distance / speed
         end = last if disturbance.moving else last + REST
-        forces, displacements, speeds, drift, stiff = (
-            [],
-            [],
-            [],
-            0.0,
-            [r for r in range(3) if r != row],
-        )
+        forces, displacements, speeds, drift = [], [], [], 0.0
+        stiff = [r for r in range(3) if r != row]
         stiff = [r for r in stiff if r in self.arm.rows]
 
         def push(time: float, plant: Plant) -> None:
@@ -490,15 +485,9 @@ def campaign_jobs(
         out += [Job(name, UNDISTURBED, pose) for pose in range(count)]
         tenth = max(1, count // TENTH)
         if main and disturbed:
-            out += [
-                Job(name, disturbance, pose)
-                for disturbance in DISTURBANCES
-                for pose in range(tenth)
-            ]
+            out += [Job(name, case, pose) for case in DISTURBANCES for pose in range(tenth)]
         if friction and name in REAL_GEARS:
-            out += [
-                Job(name, disturbance, pose) for disturbance in gears(name) for pose in range(tenth)
-            ]
+            out += [Job(name, case, pose) for case in gears(name) for pose in range(tenth)]
     return out
 
 
