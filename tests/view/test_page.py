@@ -197,7 +197,7 @@ def test_scale_holds_thresholds_and_does_not_flicker(page):
 
 
 def test_text_from_errors_is_escaped(page):
-    assert "<script>" not in html.messages("<script>alert(1)</script>", wrong=True)
+    assert "<script>" not in html.notice("<script>alert(1)</script>", wrong=True)
     assert "<b>" not in html.summary(["<b>"])
 
 
