@@ -1,7 +1,6 @@
 """Rate and memory use of batch calls (many configurations in one call), on one and on all cores.
 
-    python benches/batch.py                N = 10⁵; --count for others, --instructions baseline,
-                                           --only kinematics,paper for some of the calls
+    python benches/batch.py [--count 100000] [--instructions baseline] [--only kinematics,paper]
 
 The calls of pliant are timed in two processes in turn: one with a single thread, and one with one
 thread per core. Results go into preallocated arrays. The rate of one core is measured in CPU time,
@@ -43,9 +42,9 @@ def settings() -> dict[str, pliant.Settings]:
 
 
 def calls(count: int, only: list[str]) -> dict[str, Callable[[], object]]:
-    """Return by name the timed calls, for `count` configurations each.
+    """Return the timed calls by name, each for `count` configurations.
 
-    Only calls whose names contain one of the words `only` are returned.
+    Only calls whose names contain one of the texts `only` are returned.
     """
     kp, torque = [150.0] * 4 + [60.0] * 3, [10.7] * 4 + [6.4] * 3
     servos = pliant.Servos(kp=kp, max_torque=torque, friction=0.1, stiffness_known=True)
@@ -56,25 +55,25 @@ def calls(count: int, only: list[str]) -> dict[str, Callable[[], object]]:
     poses, jacobians = np.ones((count, 4, 4)), np.ones((count, 6, model.n))
     torques = np.ones((count, model.n))
     out = (torques, np.ones_like(torques), np.ones_like(torques))
-    found: dict[str, Callable[[], object]] = {
+    functions: dict[str, Callable[[], object]] = {
         "kinematics_batch": lambda: model.kinematics_batch(q, out=(poses, jacobians)),
         "gravity_batch": lambda: model.gravity_batch(q, out=torques),
     }
-    for law, wanted in settings().items():
-        controller = pliant.Controller(model, wanted)
+    for law, law_settings in settings().items():
+        controller = pliant.Controller(model, law_settings)
         name = f"step_batch, law {law}"
-        found[name] = lambda c=controller: c.step_batch(q, targets, out=out)
+        functions[name] = lambda c=controller: c.step_batch(q, targets, out=out)
         # Allocate the large controller state of a batch only if a requested call uses it.
-        state = controller.batch_state(count if named(name + ", with a state", only) else 1)
-        found[name + ", with a state"] = lambda c=controller, s=state: c.step_batch(
+        state = controller.batch_state(count if is_selected(name + ", with a state", only) else 1)
+        functions[name + ", with a state"] = lambda c=controller, s=state: c.step_batch(
             q, targets, state=s, out=out
         )
-    return {name: call for name, call in found.items() if named(name, only)}
+    return {name: call for name, call in functions.items() if is_selected(name, only)}
 
 
-def named(name: str, only: list[str]) -> bool:
-    """Return True if the name of a call contains one of the words `only`."""
-    return any(word in name for word in only)
+def is_selected(name: str, only: list[str]) -> bool:
+    """Return True if a name contains one of the texts `only`."""
+    return any(part in name for part in only)
 
 
 def serve(count: int, only: list[str]) -> None:
@@ -83,17 +82,17 @@ def serve(count: int, only: list[str]) -> None:
     For each, print a JSON list: wall time [s], CPU time [s] and growth of the largest resident
     memory [MB].
     """
-    ready = calls(count, only)
+    functions = calls(count, only)
     for name in sys.stdin:
         before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-        start, own = time.perf_counter(), time.process_time()
-        ready[name.strip()]()
-        times = time.perf_counter() - start, time.process_time() - own
-        more = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
-        print(json.dumps((*times, more / 1024)), flush=True)
+        start, cpu_start = time.perf_counter(), time.process_time()
+        functions[name.strip()]()
+        times = time.perf_counter() - start, time.process_time() - cpu_start
+        memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
+        print(json.dumps((*times, memory / 1024)), flush=True)
 
 
-def started(count: int, only: list[str], threads: int) -> subprocess.Popen[str]:
+def start_server(count: int, only: list[str], threads: int) -> subprocess.Popen[str]:
     """Start and return a process that runs `serve` with this number of threads."""
     command = [sys.executable, __file__, "--count", str(count), "--only", ",".join(only), "--serve"]
     environment = os.environ | {"RAYON_NUM_THREADS": str(threads)}
@@ -102,7 +101,7 @@ def started(count: int, only: list[str], threads: int) -> subprocess.Popen[str]:
 
 
 def ask(server: subprocess.Popen[str], name: str) -> tuple[float, float, float]:
-    """Run a call in a process of `started`; return its times and memory.
+    """Run a call in a process of `start_server`; return its times and memory.
 
     Returns:
         Wall time [s], CPU time [s] and growth of the largest resident memory [MB].
@@ -110,8 +109,8 @@ def ask(server: subprocess.Popen[str], name: str) -> tuple[float, float, float]:
     assert server.stdin is not None
     assert server.stdout is not None
     print(name, file=server.stdin, flush=True)
-    wall, own, more = json.loads(server.stdout.readline())
-    return wall, own, more
+    wall, cpu, memory = json.loads(server.stdout.readline())
+    return wall, cpu, memory
 
 
 def main() -> None:
@@ -129,18 +128,18 @@ def main() -> None:
     if arguments.serve:
         serve(count, only)
         return
-    chosen = pliant.Controller(pliant.robots.arm7()).simd_level
-    print(f"N = {count:,}, instructions {arguments.instructions or chosen}")
+    controller = pliant.Controller(pliant.robots.arm7()).simd_level
+    print(f"N = {count:,}, instructions {arguments.instructions or controller}")
     print(f"{'':38} {'M/s a core':>10} {f'{cores} threads':>10} {'ratio':>6} {'MB more':>8}")
-    one, all_cores = started(count, only, 1), started(count, only, cores)
+    single_thread, all_cores = start_server(count, only, 1), start_server(count, only, cores)
     for name in calls(1, only):
-        memory = ask(one, name)[2]
-        rounds = [(ask(one, name), ask(all_cores, name)) for _ in range(ROUNDS)]
+        memory = ask(single_thread, name)[2]
+        rounds = [(ask(single_thread, name), ask(all_cores, name)) for _ in range(ROUNDS)]
         rate = count / statistics.median(single[1] for single, _ in rounds)
-        together = count / statistics.median(many[0] for _, many in rounds)
-        ratio = statistics.median(single[0] / many[0] for single, many in rounds)
+        together = count / statistics.median(all_threads[0] for _, all_threads in rounds)
+        ratio = statistics.median(single[0] / all_threads[0] for single, all_threads in rounds)
         print(f"{name:38} {rate / 1e6:10.2f} {together / 1e6:10.2f} {ratio:6.2f} {memory:8.1f}")
-    for server in (one, all_cores):
+    for server in (single_thread, all_cores):
         server.communicate()
 
 

@@ -50,9 +50,9 @@ def names() -> dict[str, Any]:
     cap = pliant.Controller(model, pliant.Settings.soft("y"), pliant.Servos(**SERVOS))
     return {
         "nothing": operator.is_,
-        "kept": cap.step(*followed(model)[0]),
-        "states": [(q, model.forward_kinematics(ahead)) for q, ahead in states],
-        "followed": followed(model),
+        "kept": cap.step(*path_states(model)[0]),
+        "states": [(q, model.forward_kinematics(target_q)) for q, target_q in states],
+        "followed": path_states(model),
         "cap": cap.step,
         "paper": pliant_peer.controller(model).step,
         "kinematics": model.kinematics,
@@ -60,21 +60,22 @@ def names() -> dict[str, Any]:
     }
 
 
-def followed(model: pliant.Model) -> list[tuple[Any, Any]]:
+def path_states(model: pliant.Model) -> list[tuple[Any, Any]]:
     """Return pairs of joint positions q (n,) and target pose (4, 4) along a closed path.
 
     Each target is the tool's pose two ticks ahead, so that law `cap` follows as on a real arm.
     """
     middle, reach = 0.5 * (model.lower + model.upper), 0.05 * (model.upper - model.lower)
-    turns = 2.0 * np.pi * np.arange(STATES) / STATES
-    path = [middle + reach * np.sin(turn + 0.9 * np.arange(model.n)) for turn in turns]
+    phases = 2.0 * np.pi * np.arange(STATES) / STATES
+    path = [middle + reach * np.sin(phase + 0.9 * np.arange(model.n)) for phase in phases]
     return [(path[i - 2], model.forward_kinematics(path[i])) for i in range(STATES)]
 
 
-def reference(ours: dict[str, Any]) -> dict[str, Any]:
+def reference(own_names: dict[str, Any]) -> dict[str, Any]:
     """Return Pinocchio's objects for the statement `REFERENCE`, by variable name.
 
-    Check first that Pinocchio's Jacobian equals that of `ours`, the result of `names`.
+    Raises:
+        AssertionError: Its Jacobian differs from that of `own_names`, the result of `names`.
     """
     import pinocchio
 
@@ -86,9 +87,9 @@ def reference(ours: dict[str, Any]) -> dict[str, Any]:
         "frame": model.getFrameId(problem.TOOL),
         "axes": pinocchio.LOCAL_WORLD_ALIGNED,
     }
-    q = ours["states"][3][0]
-    theirs = call["jacobian"](model, call["data"], q, call["frame"], call["axes"])
-    assert np.abs(theirs - ours["kinematics"](q)[1]).max() < 1e-9  # the same work
+    q = own_names["states"][3][0]
+    peer_jacobian = call["jacobian"](model, call["data"], q, call["frame"], call["axes"])
+    assert np.abs(peer_jacobian - own_names["kinematics"](q)[1]).max() < 1e-9  # the same work
     return call
 
 

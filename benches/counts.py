@@ -70,19 +70,19 @@ def main() -> int:
 def compiler() -> str:
     """Return version and target of the Rust compiler, which is the key of the stored counts."""
     try:
-        said = subprocess.run(["rustc", "-vV"], capture_output=True, text=True, check=True).stdout
+        output = subprocess.run(["rustc", "-vV"], capture_output=True, text=True, check=True).stdout
     except OSError as error:
         raise Skip(f"rustc cannot be started: {error}") from error
-    host = re.search(r"^host: (.*)$", said, re.MULTILINE)
-    return f"{said.splitlines()[0]} {host.group(1) if host else ''}".strip()
+    host = re.search(r"^host: (.*)$", output, re.MULTILINE)
+    return f"{output.splitlines()[0]} {host.group(1) if host else ''}".strip()
 
 
 def build() -> Path:
     """Build the Rust program `counts` in release mode, like the wheel; return its path."""
     command = ["cargo", "build", "--release", "-p", "pliant-benches", "--bin", "counts"]
     command += ["--message-format=json", "--quiet", *(["--locked"] if os.environ.get("CI") else [])]
-    done = subprocess.run(command, cwd=ROOT, stdout=subprocess.PIPE, text=True, check=True)
-    for line in done.stdout.splitlines():
+    result = subprocess.run(command, cwd=ROOT, stdout=subprocess.PIPE, text=True, check=True)
+    for line in result.stdout.splitlines():
         message = json.loads(line)
         if message.get("executable") and message.get("target", {}).get("name") == "counts":
             return Path(message["executable"])
@@ -95,8 +95,8 @@ def count_all(binary: Path) -> Counts:
     A code path with the same counts as `baseline` is omitted: the processor or the build lacks it.
     Differences below half a percent, due to the alignment of memory, count as equal.
     """
-    said = subprocess.run([binary, "--stages"], capture_output=True, text=True, check=True).stdout
-    stages = [line.rsplit(" ", 1) for line in said.splitlines()]
+    output = subprocess.run([binary, "--stages"], capture_output=True, text=True, check=True).stdout
+    stages = [line.rsplit(" ", 1) for line in output.splitlines()]
     counts: Counts = {}
     for path in PATHS:
         # Run one valgrind per core at the same time: counts do not depend on other processes.
@@ -106,10 +106,10 @@ def count_all(binary: Path) -> Counts:
                 name: total / int(states)
                 for (name, states), total in zip(stages, totals, strict=True)
             }
-        same = (
+        is_equal = (
             all(abs(found[s] / other[s] - 1.0) < 5e-3 for s in found) for other in counts.values()
         )
-        if not any(same):
+        if not any(is_equal):
             counts[path] = found
     return counts
 
@@ -127,36 +127,36 @@ def count(binary: Path, stage: str, path: str) -> int:
     command = ["valgrind", "--tool=callgrind", "--callgrind-out-file=/dev/null"]
     command += ["--toggle-collect=*counted*", str(binary), stage]
     environment = {**os.environ, "PLIANT_INSTRUCTIONS": path}
-    done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
-    found = re.search(r"Collected\s*:\s*(\d+)", done.stderr)
-    if done.returncode or found is None or int(found.group(1)) == 0:
-        raise Skip(f"valgrind counted nothing in {stage!r}: {done.stderr[-400:]}")
-    return int(found.group(1))
+    result = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
+    match = re.search(r"Collected\s*:\s*(\d+)", result.stderr)
+    if result.returncode or match is None or int(match.group(1)) == 0:
+        raise Skip(f"valgrind counted nothing in {stage!r}: {result.stderr[-400:]}")
+    return int(match.group(1))
 
 
 def regressions(counts: Counts, stored: Counts) -> list[str]:
     """Return a sentence for every stage whose count exceeds the stored one by over `GROWTH`."""
-    said = []
+    messages = []
     for path, stages in counts.items():
-        for stage, now in stages.items():
+        for stage, number in stages.items():
             before = stored.get(path, {}).get(stage)
-            if before is not None and now > (1.0 + GROWTH) * before:
-                growth = now / before - 1.0
-                said.append(
-                    f"{stage} ({path}) takes {now:.0f} instructions, {growth:.1%} more than the "
+            if before is not None and number > (1.0 + GROWTH) * before:
+                growth = number / before - 1.0
+                messages.append(
+                    f"{stage} ({path}) takes {number:.0f} instructions, {growth:.1%} more than the "
                     f"{before:.0f} stored; {GROWTH:.0%} is the bound"
                 )
-    return said
+    return messages
 
 
 def table(counts: Counts, stored: Counts) -> str:
     """Return a text table of the counts, with their changes from the stored counts."""
     lines = []
     for path, stages in counts.items():
-        for stage, now in stages.items():
+        for stage, number in stages.items():
             before = stored.get(path, {}).get(stage)
-            change = f"{now / before - 1.0:+7.1%}" if before else "   (new)" if stored else ""
-            lines.append(f"{path:10} {stage:26} {now:9.1f} instructions a call {change}")
+            change = f"{number / before - 1.0:+7.1%}" if before else "   (new)" if stored else ""
+            lines.append(f"{path:10} {stage:26} {number:9.1f} instructions a call {change}")
     return "\n".join(lines)
 
 

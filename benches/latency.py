@@ -105,8 +105,8 @@ def run(
         model = pliant.Model.from_urdf(urdf, tip=tip)
         settings = pliant.Settings(task=pliant.Task(axes=_axes(model)))
     else:
-        read = config.load(robot or "arm7")
-        model, settings = read.model(), read.settings()
+        arm_config = config.load(robot or "arm7")
+        model, settings = arm_config.model(), arm_config.settings()
     servos = _guessed(model) if model.servos is None else model.servos
     controller = pliant.Controller(model, _wanted(settings, axes, law, soft), servos)
     states = path(model)
@@ -118,24 +118,24 @@ def run(
 
     empty = measure(lambda i: states[i], calls)
     before, start = _waited(), time.perf_counter()
-    found = measure(step, calls).less(empty.at(50.0))
-    taken = (_waited() - before) / (time.perf_counter() - start)
+    latency = measure(step, calls).less(empty.at(50.0))
+    share = (_waited() - before) / (time.perf_counter() - start)
     console = Console(soft_wrap=True, highlight=False)
     console.print(
         f"{model.name}: {model.n} joints, law {controller.settings.law}, instructions "
         f"{controller.simd_level}; "
         f"{_processor()}, CPython {platform.python_version()}"
     )
-    console.print(_percentiles(found, empty.less(empty.at(50.0))))
-    console.print(_histogram(found))
-    rates = [_round(SHARE / max(found.at(p), 1e-9)) for p in (50.0, 99.9)]
+    console.print(_percentiles(latency, empty.less(empty.at(50.0))))
+    console.print(_histogram(latency))
+    rates = [_round(SHARE / max(latency.at(p), 1e-9)) for p in (50.0, 99.9)]
     console.print(
         f"Within {SHARE:.0%} of a period, half of the steps end at {rates[0]:,.0f} Hz, 99.9 % of "
         f"them at {rates[1]:,.0f} Hz."
     )
-    if taken > BUSY:
+    if share > BUSY:
         console.print(
-            f"[yellow]note[/] other programs had this core for {taken:.0%} of the time: all beyond "
+            f"[yellow]note[/] other programs had this core for {share:.0%} of the time: all beyond "
             "the median is theirs too"
         )
 
@@ -147,8 +147,8 @@ def path(model: pliant.Model) -> list[Array]:
     """
     low = np.where(np.isfinite(model.lower), model.lower, -np.pi)
     high = np.where(np.isfinite(model.upper), model.upper, np.pi)
-    turns = 2.0 * np.pi * np.arange(STATES) / STATES
-    wave = np.sin(turns[:, None] + 0.9 * np.arange(model.n))
+    phases = 2.0 * np.pi * np.arange(STATES) / STATES
+    wave = np.sin(phases[:, None] + 0.9 * np.arange(model.n))
     return list(0.5 * (low + high) + 0.2 * (high - low) * wave)
 
 
@@ -161,7 +161,7 @@ def measure(call: Callable[[int], object], calls: int) -> Latency:
     now = time.perf_counter_ns
     for i in range(STATES):
         call(i)
-    was = gc.isenabled()
+    was_enabled = gc.isenabled()
     gc.enable()
     try:
         for i in range(calls):
@@ -169,7 +169,7 @@ def measure(call: Callable[[int], object], calls: int) -> Latency:
             call(i % STATES)
             times[i] = now() - start
     finally:
-        if not was:
+        if not was_enabled:
             gc.disable()
     return Latency(1e-9 * times)
 
@@ -234,12 +234,12 @@ def _percentiles(found: Latency, empty: Latency) -> Table:
     return table
 
 
-def _histogram(found: Latency) -> Table:
+def _histogram(latency: Latency) -> Table:
     table = Table(box=None, pad_edge=False)
     table.add_column("of the median", justify="right")
     table.add_column("calls", justify="right")
     table.add_column("", justify="left")
-    ratios = found.times / max(found.at(50.0), 1e-9)
+    ratios = latency.times / max(latency.at(50.0), 1e-9)
     counts = np.histogram(ratios, EDGES)[0]
     for low, high, count in zip(EDGES, EDGES[1:], counts, strict=False):
         name = f"{low:g} to {high:g}" if np.isfinite(high) else f"above {low:g}"

@@ -38,8 +38,8 @@ for i in range(20_000):
 
 def now() -> tuple[float, float]:
     """Return the total processor time of ended child processes, and the wall clock [s]."""
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return used.ru_utime + used.ru_stime, time.perf_counter()
+    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return usage.ru_utime + usage.ru_stime, time.perf_counter()
 
 
 def medians(times: list[tuple[float, float]]) -> tuple[float, float]:
@@ -60,23 +60,25 @@ def starts(*arguments: str) -> tuple[float, float]:
 
 def imports(code: str) -> tuple[float, float]:
     """Return median processor and wall time [s] of a statement that runs after NumPy's import."""
-    timed = (
+    command = (
         "import numpy, time; p, t = time.process_time(), time.perf_counter(); "
         f"{code}; print(time.process_time() - p, time.perf_counter() - t)"
     )
-    done = [
-        subprocess.run([sys.executable, "-c", timed], capture_output=True, text=True, check=True)
+    results = [
+        subprocess.run([sys.executable, "-c", command], capture_output=True, text=True, check=True)
         for _ in range(STARTS)
     ]
-    words = [one.stdout.split() for one in done]
-    return medians([(float(own), float(clock)) for own, clock in words])
+    fields = [result.stdout.split() for result in results]
+    return medians([(float(cpu), float(clock)) for cpu, clock in fields])
 
 
 def memory(before: str) -> float:
     """Return the largest resident memory [MB] of a Python process that runs the code `before`."""
     code = RUNNING.format(before=before)
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    return float(done.stdout)
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    return float(result.stdout)
 
 
 def line(name: str, times: tuple[float, float]) -> None:
@@ -87,17 +89,17 @@ def line(name: str, times: tuple[float, float]) -> None:
 def main() -> None:
     """Measure and print start times, memory and wheel size."""
     print(f"{'':30}processor    clock")
-    bare = starts("-c", "pass")
-    line("python", bare)
+    interpreter = starts("-c", "pass")
+    line("python", interpreter)
     numpy = starts("-c", "import numpy")
-    line("import numpy, beyond python", (numpy[0] - bare[0], numpy[1] - bare[1]))
+    line("import numpy, beyond python", (numpy[0] - interpreter[0], numpy[1] - interpreter[1]))
     line("import pliant, beyond numpy", imports("import pliant"))
     for flags in ("--version", "--help", "bench --help"):
         line(f"pliant {flags}", starts("-m", "pliant.cli", *flags.split()))
     numpy_alone = memory("")
     print(f"memory of numpy               {numpy_alone:8.1f} MB")
-    more = memory(CONTROLLER) - numpy_alone
-    print(f"memory of a running controller{more:8.1f} MB more")
+    growth = memory(CONTROLLER) - numpy_alone
+    print(f"memory of a running controller{growth:8.1f} MB more")
     for wheel in sorted((ROOT / "build").glob("**/wheels/*.whl")):
         print(f"{wheel.stat().st_size / 1e6:.2f} MB  {wheel.name}")
 

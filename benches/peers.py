@@ -19,7 +19,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from comparison import table
-from comparison.environments import BUILD, OURS, PEERS
+from comparison.environments import BUILD, PEERS, PLIANT_ENTRIES
 from comparison.timing import TimedProcess, run_rounds
 
 
@@ -31,33 +31,33 @@ def main() -> None:
     parser.add_argument("--plot", type=Path, default=BUILD / "peers.png")
     arguments = parser.parse_args()
     BUILD.mkdir(parents=True, exist_ok=True)
-    wanted = [word.strip().lower() for word in arguments.only.split(",") if word.strip()]
+    names = [name.strip().lower() for name in arguments.only.split(",") if name.strip()]
     processes: list[TimedProcess] = []
-    for entry in (*OURS, *PEERS):
-        ours = entry in OURS
-        if not ours and wanted and not any(word in entry.name.lower() for word in wanted):
+    for entry in (*PLIANT_ENTRIES, *PEERS):
+        is_own = entry in PLIANT_ENTRIES
+        if not is_own and names and not any(name in entry.name.lower() for name in names):
             continue
-        timed, reason = TimedProcess.start(entry)
-        if timed is None:
+        process, reason = TimedProcess.start(entry)
+        if process is None:
             print(f"!! {entry.name} is MISSING: {reason}", file=sys.stderr)
-        elif ours and timed.version in {other.version for other in processes}:
-            timed.stop()  # the processor or the build lacks this instruction set
+        elif is_own and process.version in {other.version for other in processes}:
+            process.stop()  # the processor or the build lacks this instruction set
         else:
-            print(f"   {timed.name}: {timed.version}, agrees to 1e-9", file=sys.stderr)
-            processes.append(timed)
+            print(f"   {process.name}: {process.version}, agrees to 1e-9", file=sys.stderr)
+            processes.append(process)
     if not processes or not processes[0].name.startswith("pliant"):
         sys.exit("error: pliant itself is missing")
     run_rounds(processes, arguments.rounds)
-    for timed in processes:
-        timed.stop()
-    found, note = table.rows(processes), table.where()
-    said = f"{note}\n{processes[0].version}\n\n{table.markdown(found)}\n"
-    said += f"\nCalls that do nothing, in the same blocks: p99.9 {table.floor(processes):.2f} µs.\n"
-    print(f"\n{said}")
-    (BUILD / "peers.md").write_text(said, encoding="utf-8")
-    kept = {"where": note, "rows": [asdict(row) for row in found]}
-    (BUILD / "peers.json").write_text(json.dumps(kept, indent=1), encoding="utf-8")
-    table.plot(found, arguments.plot, f"{note}; 7 joints, 6 axes")
+    for process in processes:
+        process.stop()
+    table_rows, note = table.rows(processes), table.where()
+    text = f"{note}\n{processes[0].version}\n\n{table.markdown(table_rows)}\n"
+    text += f"\nCalls that do nothing, in the same blocks: p99.9 {table.floor(processes):.2f} µs.\n"
+    print(f"\n{text}")
+    (BUILD / "peers.md").write_text(text, encoding="utf-8")
+    content = {"where": note, "rows": [asdict(row) for row in table_rows]}
+    (BUILD / "peers.json").write_text(json.dumps(content, indent=1), encoding="utf-8")
+    table.plot(table_rows, arguments.plot, f"{note}; 7 joints, 6 axes")
     print(f"picture: {arguments.plot}")
 
 

@@ -50,12 +50,12 @@ def run(minutes: float = 10.0) -> None:
             ]
         )
         try:
-            got, sent = _exchange(60.0 * minutes)
+            states, targets = _exchange(60.0 * minutes)
         finally:
             arm.send_signal(signal.SIGTERM)
             arm.wait()
-        _print_states(got)
-        _print_targets(path, sent, got)
+        _print_states(states)
+        _print_targets(path, targets, states)
         print(f"load of the computer: {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores")
 
 
@@ -70,34 +70,34 @@ def _exchange(seconds: float) -> tuple[list[Any], list[tuple[float, float]]]:
 
     logging.getLogger("zenoh_ros2_sdk").setLevel(logging.ERROR)
     session = sdk.ZenohSession.get_instance("127.0.0.1", PORT)
-    got: list[Any] = []
+    states: list[Any] = []
     kind = "geometry_msgs/msg/PoseStamped"
 
     def receive(sample: Any) -> None:
         now = time.time()
         message = wire.decode(kind, sample.payload.to_bytes())
-        stamp, at = message.header.stamp, message.pose.position
+        stamp, position = message.header.stamp, message.pose.position
         number = struct.unpack_from("<q", sample.attachment.to_bytes())[0]
-        got.append((number, stamp.sec + 1e-9 * stamp.nanosec, now, at.x))
+        states.append((number, stamp.sec + 1e-9 * stamp.nanosec, now, position.x))
 
     pose_key = wire.key_expression(0, "/pliant/current_pose", kind)
     first: list[Any] = []
-    begun = threading.Event()
+    has_begun = threading.Event()
 
     def begin(sample: Any) -> None:
         first.append(wire.decode(kind, sample.payload.to_bytes()).pose)
-        begun.set()
+        has_begun.set()
 
     waiting = session.session.declare_subscriber(pose_key, begin)
-    if not begun.wait(60.0):
+    if not has_begun.wait(60.0):
         raise TimeoutError("no state of the arm within 60 s")
     waiting.undeclare()
     at = first[0].position
-    keep = session.session.declare_subscriber(pose_key, receive)
+    subscription = session.session.declare_subscriber(pose_key, receive)
     target_key = wire.key_expression(0, "/pliant/target_pose", kind)
     publisher = session.session.declare_publisher(target_key)
-    turn = {axis: getattr(first[0].orientation, axis) for axis in "xyzw"}
-    sent: list[tuple[float, float]] = []
+    rotation = {axis: getattr(first[0].orientation, axis) for axis in "xyzw"}
+    targets: list[tuple[float, float]] = []
     start = time.monotonic()
     for index in range(round(RATE * seconds)):
         time.sleep(max(start + index / RATE - time.monotonic(), 0.0))
@@ -109,45 +109,45 @@ def _exchange(seconds: float) -> tuple[list[Any], list[tuple[float, float]]]:
         stamp = {"sec": now // 10**9, "nanosec": now % 10**9}
         message = {
             "header": {"stamp": stamp, "frame_id": "base"},
-            "pose": {"position": position, "orientation": turn},
+            "pose": {"position": position, "orientation": rotation},
         }
         publisher.put(wire.encode(kind, message), attachment=wire.attachment(index, now, bytes(16)))
-        sent.append((1e-9 * now, x))
-    keep.undeclare()
+        targets.append((1e-9 * now, x))
+    subscription.undeclare()
     session.close()
-    return got, sent
+    return states, targets
 
 
-def _print_states(got: list[Any]) -> None:
-    numbers, stamps, times, _ = (np.array(column) for column in zip(*got, strict=True))
+def _print_states(states: list[Any]) -> None:
+    numbers, stamps, times, _ = (np.array(column) for column in zip(*states, strict=True))
     missing = numbers[-1] - numbers[0] + 1 - len(numbers)
     print(
-        f"states: {len(got)} in {times[-1] - times[0]:.1f} s, "
-        f"{(len(got) - 1) / (times[-1] - times[0]):.2f} Hz; lost on the way {missing:.0f}; "
+        f"states: {len(states)} in {times[-1] - times[0]:.1f} s, "
+        f"{(len(states) - 1) / (times[-1] - times[0]):.2f} Hz; lost on the way {missing:.0f}; "
         f"largest gap {1e3 * np.diff(stamps).max():.0f} ms"
     )
     print(f"  latency, reading of the joints to client: {_quantiles(times - stamps)}")
 
 
-def _print_targets(path: Path, sent: list[tuple[float, float]], got: list[Any]) -> None:
+def _print_targets(path: Path, targets: list[tuple[float, float]], states: list[Any]) -> None:
     log = pliant.log.read(path)
     # Each state carries the system time of its tick; the same x in the log identifies the tick.
     ticks = {x: tick for tick, x in enumerate(log.model().forward_kinematics_batch(log.q)[:, 0, 3])}
-    offsets = [stamp - log.time[ticks[x]] for _, stamp, _, x in got if x in ticks]
+    offsets = [stamp - log.time[ticks[x]] for _, stamp, _, x in states if x in ticks]
     wall = log.time + np.median(offsets)
     x = log.target.reshape(len(log), 16)[:, 3]
-    times, xs = (np.array(column) for column in zip(*sent, strict=True))
+    times, xs = (np.array(column) for column in zip(*targets, strict=True))
     # First tick of each target that the loop has used.
     new = np.flatnonzero(np.diff(x, prepend=np.nan) != 0.0)
-    places = [int(np.abs(xs - value).argmin()) for value in x[new]]
+    indices = [int(np.abs(xs - value).argmin()) for value in x[new]]
     pairs = [
-        (place, tick)
-        for place, tick in zip(places, new, strict=True)
-        if abs(xs[place] - x[tick]) < 1e-13
+        (index, tick)
+        for index, tick in zip(indices, new, strict=True)
+        if abs(xs[index] - x[tick]) < 1e-13
     ]
-    delay = np.array([wall[tick] - times[place] for place, tick in pairs])
+    delay = np.array([wall[tick] - times[index] for index, tick in pairs])
     print(
-        f"targets: {len(sent)} sent, {len({place for place, _ in pairs})} used by the loop "
+        f"targets: {len(targets)} sent, {len({index for index, _ in pairs})} used by the loop "
         "(a newer one replaces one that waits)"
     )
     print(f"  latency, client to the tick that uses it: {_quantiles(delay)}")

@@ -1,13 +1,13 @@
 """Tail latency of a control step that is called from Python, and its time in special poses.
 
-    python benches/tail.py                 10⁷ steps in a row, then 10⁶ in turn; --steps, --turns
+    python benches/tail.py       options: --steps (default 10⁷) and --turns (default 10⁶)
 
-First, each law runs through ordinary poses without a pause. Then cases alternate in short blocks,
-so that other programs affect all cases equally: ordinary poses, near singular poses, joints at
-their limits, saturated torque limits, a constant pose, and denormal numbers. Every call is timed,
-with the garbage collector on. Rows of empty calls, and of waits as long as a step, show the
-influence of the system. "Calm" blocks are those in which no other program used the core, according
-to the scheduler.
+First, each law makes `--steps` steps through ordinary poses without a pause. Then it makes
+`--turns` steps in all cases together: ordinary poses, near singular poses, joints at their limits,
+saturated torque limits, a constant pose, and denormal numbers. The cases alternate in short blocks,
+so that other programs affect them equally. Every call is timed, with the garbage collector on.
+Rows of empty calls, and of waits as long as a step, show the influence of the system. A block is
+"calm" if, according to the scheduler, no other program used the core meanwhile.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ import pliant
 Array = NDArray[np.float64]
 URDF = Path(__file__).resolve().with_name("arm7_bench.urdf")
 BLOCK, STATES = 64, 256
-#: Ratio of the time of a case to that of ordinary poses above which the table marks the case [1].
-SAME = 1.2
+#: The table marks a case that takes more than this multiple of the time of ordinary poses [1].
+MAX_RATIO = 1.2
 
 
 @dataclass(frozen=True)
@@ -60,28 +60,28 @@ def servos() -> pliant.Servos:
 
 def cases(model: pliant.Model) -> list[Case]:
     """Return all cases for an arm; the first one has ordinary poses."""
-    turns = 2.0 * np.pi * np.arange(STATES)[:, None] / STATES + 0.9 * np.arange(model.n)
+    phases = 2.0 * np.pi * np.arange(STATES)[:, None] / STATES + 0.9 * np.arange(model.n)
     middle, half = 0.5 * (model.lower + model.upper), 0.5 * (model.upper - model.lower)
-    ordinary = middle + 0.4 * half * np.sin(turns)
+    ordinary = middle + 0.4 * half * np.sin(phases)
     stretched = ordinary.copy()
-    stretched[:, 3:6] = 1e-3 * np.sin(turns[:, 3:6])  # elbow and wrist straight
-    limits = np.where(np.sin(turns) > 0.0, model.upper, model.lower) - 1e-9 * np.sin(turns)
-    tiny = 1e-310 * np.sin(turns)
-    far = np.eye(4)
-    far[:3, 3] = 1.0
+    stretched[:, 3:6] = 1e-3 * np.sin(phases[:, 3:6])  # elbow and wrist straight
+    limits = np.where(np.sin(phases) > 0.0, model.upper, model.lower) - 1e-9 * np.sin(phases)
+    tiny = 1e-310 * np.sin(phases)
+    far_target = np.eye(4)
+    far_target[:3, 3] = 1.0
 
     def toward(q: Array, shift: Array) -> list[tuple[Array, Array]]:
         return [(a, model.forward_kinematics(b)) for a, b in zip(q, q + shift, strict=True)]
 
-    near = 0.02 * np.cos(turns)
+    offsets = 0.02 * np.cos(phases)
     return [
-        Case("ordinary poses", toward(ordinary, near)),
-        Case("near singular (elbow and wrist straight)", toward(stretched, near)),
-        Case("joints at their limits", toward(limits, near)),
-        Case("every limit saturated (target far away)", [(q, far) for q in ordinary]),
-        Case("where it was started", toward(ordinary[:1].repeat(STATES, axis=0), near[:1])),
-        Case("denormal positions", toward(tiny, np.zeros_like(near))),
-        Case("at rest on the target (denormal deviations)", toward(ordinary, 1e-310 * near)),
+        Case("ordinary poses", toward(ordinary, offsets)),
+        Case("near singular (elbow and wrist straight)", toward(stretched, offsets)),
+        Case("joints at their limits", toward(limits, offsets)),
+        Case("every limit saturated (target far away)", [(q, far_target) for q in ordinary]),
+        Case("where it was started", toward(ordinary[:1].repeat(STATES, axis=0), offsets[:1])),
+        Case("denormal positions", toward(tiny, np.zeros_like(offsets))),
+        Case("at rest on the target (denormal deviations)", toward(ordinary, 1e-310 * offsets)),
     ]
 
 
@@ -118,27 +118,27 @@ def waiter(length: float) -> Callable[[], Array]:
     Each of these calls only waits for about `length` [ns].
     """
 
-    def block(turns: int) -> Array:
-        times, now, forget = [], time.perf_counter_ns, deque[None](maxlen=0).extend
+    def block(count: int) -> Array:
+        times, now, consume = [], time.perf_counter_ns, deque[None](maxlen=0).extend
         for _ in range(BLOCK):
             start = now()
-            forget(itertools.repeat(None, turns))
+            consume(itertools.repeat(None, count))
             times.append(now() - start)
         return np.array(times, dtype=np.float64)
 
-    once, often = (np.median([np.median(block(turns)) for _ in range(100)]) for turns in (1, 1001))
-    turns = 1 + round(1000 * max(length - once, 0.0) / max(often - once, 1.0))
-    return lambda: block(turns)
+    short, long = (np.median([np.median(block(count)) for _ in range(100)]) for count in (1, 1001))
+    count = 1 + round(1000 * max(length - short, 0.0) / max(long - short, 1.0))
+    return lambda: block(count)
 
 
 def laws() -> dict[str, pliant.Settings]:
-    """Return settings with the soft axis y, for the laws `paper` and `cap`, by law."""
+    """Return the settings of the laws `paper` and `cap`, both with the soft axis y, by law."""
     paper = pliant.Settings.paper(axes={"y": pliant.Axis(soft=0.5, adaptation=0.9)})
     return {"paper": paper, "cap": pliant.Settings.soft("y")}
 
 
-def in_a_row(block: Callable[[], Array], steps: int) -> tuple[Array, Array]:
-    """Run `block` repeatedly without a pause, for `steps` calls in total.
+def run_blocks(block: Callable[[], Array], steps: int) -> tuple[Array, Array]:
+    """Run a block repeatedly without a pause, until it has made `steps` calls.
 
     Returns:
         Times [ns] of all calls, and of the calls in calm blocks.
@@ -164,7 +164,7 @@ def consecutive(model: pliant.Model, steps: int) -> None:
     print(f"  {'':12} {'median':>8} {'p99.9':>9} {'p99.99':>9} {'largest':>9}   calm:")
     empty = 0.0
     for name, block in blocks.items():
-        all_times, calm = in_a_row(block, steps)
+        all_times, calm = run_blocks(block, steps)
         empty = empty or float(np.median(all_times))
         cells = [
             1e-3 * (float(np.percentile(times, p)) - empty)
@@ -176,7 +176,7 @@ def consecutive(model: pliant.Model, steps: int) -> None:
 
 
 def main() -> None:
-    """Measure consecutive steps, then all cases in alternating blocks; print the results."""
+    """Time consecutive steps, then all cases in alternating blocks; print the results."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--steps", type=int, default=10_000_000, help="in a row, of each law")
     parser.add_argument("--turns", type=int, default=1_000_000, help="of all cases and laws")
@@ -195,21 +195,24 @@ def main() -> None:
                 times[name].append(block())
                 if waited() == before:
                     calm[name].append(times[name][-1])
-        used = instructions(pliant.Controller(model, settings, servos()))
-        print(f"law {law}, instructions {used}, timer subtracted [µs]")
+        simd = instructions(pliant.Controller(model, settings, servos()))
+        print(f"law {law}, instructions {simd}, timer subtracted [µs]")
         print(f"  {'':44} {'median':>8} {'p99.9':>9} {'(calm)':>8} {'largest':>9} {'ratio':>6}")
         empty = float(np.median(np.concatenate(times["(nothing)"])))
         ordinary = [float(np.median(block)) - empty for block in times["ordinary poses"]]
         for name, blocks in times.items():
-            every = np.concatenate(blocks) - empty
+            all_times = np.concatenate(blocks) - empty
             medians = [float(np.median(block)) - empty for block in blocks]
             ratio = float(np.median(np.divide(medians, ordinary)))
-            quiet = np.concatenate(calm[name] or blocks) - empty
-            cells = (np.median(every), *(np.percentile(x, 99.9) for x in (every, quiet)))
-            late = "" if ratio <= SAME else f"   more than {SAME:g} ×"
+            calm_times = np.concatenate(calm[name] or blocks) - empty
+            cells = (
+                np.median(all_times),
+                *(np.percentile(x, 99.9) for x in (all_times, calm_times)),
+            )
+            mark = "" if ratio <= MAX_RATIO else f"   more than {MAX_RATIO:g} ×"
             print(
                 f"  {name:44} {1e-3 * cells[0]:8.3f} {1e-3 * cells[1]:9.3f} {1e-3 * cells[2]:8.3f} "
-                f"{1e-3 * every.max():9.1f} {ratio:6.2f}{late}"
+                f"{1e-3 * all_times.max():9.1f} {ratio:6.2f}{mark}"
             )
         print()
 

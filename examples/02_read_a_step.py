@@ -20,10 +20,10 @@ target = model.forward_kinematics(q)
 controller.reset(q)
 
 # A hand holds the tool 6 cm to the left of its target.
-held = target.copy()
-held[1, 3] += 0.06
-pushed = model.inverse_kinematics(held, q)
-command = controller.step(pushed.q, target)
+displaced = target.copy()
+displaced[1, 3] += 0.06
+solution = model.inverse_kinematics(displaced, q)
+command = controller.step(solution.q, target)
 
 last = controller.diagnostics
 np.set_printoptions(precision=3, suppress=True)
@@ -36,7 +36,7 @@ for k, name in enumerate(pliant.AXES):
     )
 print("\njoint            goal - q   torque limit   gravity")
 for k, name in enumerate(model.joint_names):
-    lead = command.goal[k] - pushed.q[k]
+    lead = command.goal[k] - solution.q[k]
     print(f"{name:16} {lead:+8.4f} {command.torque_limit[k]:12.2f} {last.gravity[k]:10.2f}")
 print(f"\nsmallest singular value {last.sigma_min:.3f}, damping {last.damping:.3f}")
 print("activation (joints × axes, the null space last):")

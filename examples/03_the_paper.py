@@ -26,6 +26,6 @@ for gravity in (False, True):
         arm.write(command.goal, command.torque_limit)
         arm.advance()
     x, y, z = 1e3 * (arm.tool[:3, 3] - target[:3, 3])  # [mm]
-    word = "with" if gravity else "without"
-    print(f"{word:7} gravity model, untouched, after {SECONDS:.0f} s: ", end="")
+    label = "with" if gravity else "without"
+    print(f"{label:7} gravity model, untouched, after {SECONDS:.0f} s: ", end="")
     print(f"x {x:+6.1f}  y {y:+6.1f}  z {z:+6.1f} mm")

@@ -1,8 +1,8 @@
-"""A joint-space policy becomes soft without a change: `step_joints` takes joint positions.
+"""Make a joint-space policy soft without changing it: `step_joints` takes joint positions.
 
-A "policy" swings the arm against a wall. Stiff, the arm presses with the full torque of its servos.
-With a cap it presses with that force (plus the impact of its mass), and continues when it is free.
-The lag is the distance from the commanded position.
+A scripted "policy" swings the arm against a wall. With all axes stiff, the arm presses with the
+full torque of its servos; with a cap, with at most the cap (plus the impact of its mass). The lag
+is the distance of the tool from the commanded position.
 """
 
 import os

@@ -9,7 +9,7 @@ q = np.array([0.4, 0.9])  # [rad]
 
 
 def jacobian(q: np.ndarray) -> np.ndarray:
-    """Position Jacobian (2, 2) of the planar arm."""
+    """Return the position Jacobian (2, 2) [m/rad] of the planar arm at q (2,) [rad]."""
     a, ab = q[0], q[0] + q[1]
     return np.array(
         [

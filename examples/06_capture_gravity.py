@@ -44,5 +44,5 @@ for capture in (False, True):
     before = arm.tool
     run(controller, arm, SECONDS)
     drift = 1e3 * (arm.tool[1, 3] - before[1, 3])  # [mm]
-    word = "captured" if capture else "assumed"
-    print(f"gravity {word}: y drifts {drift:+6.1f} mm in {SECONDS:.0f} s")
+    label = "captured" if capture else "assumed"
+    print(f"gravity {label}: y drifts {drift:+6.1f} mm in {SECONDS:.0f} s")

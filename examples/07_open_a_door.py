@@ -1,6 +1,6 @@
-"""The arm opens a rigidly gripped door without knowing where the hinge is.
+"""Open a rigidly gripped door whose hinge position is unknown.
 
-Compliant sideways and in yaw it follows the handle; with all axes stiff it jams.
+With soft y and yaw, the tool follows the handle; with all axes stiff, the door jams.
 """
 
 import os
@@ -16,16 +16,16 @@ START = [-0.626, -0.418, 0.784, -1.194, 0.811, 0.468, -0.115]  # [rad]
 
 model = pliant.robots.arm7()
 
-# The picture's other row: the paper's law, all axes stiff, full torque of every servo.
+# Second row of the picture: law of the paper, all axes stiff, full torque of every servo.
 stiff = {"all": pliant.Axis(hold=1000.0)}
-ways = {
+variants = {
     "y and yaw compliant": pliant.Settings.door(),
     "all axes stiff": pliant.Settings.paper(
         axes=stiff, gravity=True, null_space=pliant.NullSpace(gain=1.0)
     ),
 }
 
-for name, settings in ways.items():
+for name, settings in variants.items():
     door = pliant.sim.Door(hinge=(0.0, -0.30, 0.0), mass=3.0, grip="rigid")
     arm = pliant.sim.Plant(model, scene=[door])
     arm.reset(START)

@@ -32,8 +32,8 @@ controller = pliant.Controller(model, settings)
 for axis, strength in controller.axes.items():
     print(f"  {axis}: soft {strength.soft}, firm {strength.firm}, hold {strength.hold} N")
 
-bent = np.resize([0.2, -0.3, 0.3, 0.9, 0.0], model.n)  # [rad]
-start = np.clip(bent, model.lower, model.upper)
+q = np.resize([0.2, -0.3, 0.3, 0.9, 0.0], model.n)  # [rad]
+start = np.clip(q, model.lower, model.upper)
 hand = pliant.sim.Drag(axis="y", distance=0.08, stiffness=500.0, limit=20.0, at="tool")
 arm = pliant.sim.Plant(model, scene=[hand])
 arm.reset(start)
@@ -43,6 +43,6 @@ for _ in range(round(SECONDS * arm.rate)):
     arm.write(command.goal, command.torque_limit)
     arm.advance()
 print(f"dragged 0.08 m to the side with {arm.hands[0].peak_force:.1f} N at most;", end=" ")
-left = 1e3 * np.linalg.norm(arm.tool[:3, 3] - target[:3, 3])
-print(f"left {left:.0f} mm from its target,")
+error = 1e3 * np.linalg.norm(arm.tool[:3, 3] - target[:3, 3])
+print(f"left {error:.0f} mm from its target,")
 print("where the restoring force is below the dry friction of its gears")

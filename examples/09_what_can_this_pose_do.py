@@ -11,13 +11,14 @@ import pliant.robots
 model = pliant.robots.arm7()
 q = np.array([-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657])  # [rad]
 
-# 1. Figures and sentences for one pose, the arm at rest on its target.
+# 1. Report of one pose, with the arm at rest on its target.
 settings = pliant.Settings(axes={"y": pliant.Axis(soft=4.0, firm=15.0)})  # [N]
 controller = pliant.Controller(model, settings)
 report = controller.report(q)
 print(report)
 
-# Without q the report is on the pose and limits of the last step, fast enough for the loop.
+# Without q, `report` uses the pose and torque limits of the last step. It is fast enough to be
+# called in every tick.
 controller.step(q, model.forward_kinematics(q))
 pushed_minus, pushed_plus = controller.report().axes["y"].host_loss_force
 print(
@@ -26,10 +27,10 @@ print(
 
 # 2. A path of 50 postures: can the arm exert 60 N sideways and hold 80 N in z?
 path = q + 0.2 * np.sin(np.linspace(0.0, 3.0, 50))[:, None]
-asked = pliant.Settings(
+wanted = pliant.Settings(
     axes={"y": pliant.Axis(soft=0.05, firm=60.0), "z": pliant.Axis(hold=80.0)}  # [N]
 )
-check = pliant.feasibility.check_path(model, asked, path)
+check = pliant.feasibility.check_path(model, wanted, path)
 print(f"\nasked for: {check}")
 
 # 3. Apply its proposals: the smaller one where a setting is named for both sides.
@@ -37,16 +38,16 @@ proposed: dict[str, float] = {}
 for issue in check.issues:
     if issue.required and issue.setting and issue.value is not None:
         proposed[issue.setting] = min(issue.value, proposed.get(issue.setting, np.inf))
-better = pliant.Settings(
+changed = pliant.Settings(
     axes={
         "y": pliant.Axis(soft=0.05, firm=proposed["axes.y.firm"]),
         "z": pliant.Axis(hold=proposed["axes.z.hold"]),
     }
 ).raise_soft(model, path)  # raises soft to three times the friction
-print(f"\nproposed: y {better.axes['y']}, z {better.axes['z']}")
-print(pliant.feasibility.check_path(model, better, path))
+print(f"\nproposed: y {changed.axes['y']}, z {changed.axes['z']}")
+print(pliant.feasibility.check_path(model, changed, path))
 
 # 4. A tool pose works too.
-away = model.forward_kinematics(q)
-away[0, 3] += 1.0  # [m]
-print(f"\none metre ahead: {pliant.feasibility.check_path(model, settings, away, q0=q)}")
+far_target = model.forward_kinematics(q)
+far_target[0, 3] += 1.0  # [m]
+print(f"\none metre ahead: {pliant.feasibility.check_path(model, settings, far_target, q0=q)}")

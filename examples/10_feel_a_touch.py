@@ -24,16 +24,16 @@ try:
 except pliant.OutOfRangeError as error:
     print(f"too fine a threshold is refused: {error}\n")
 
-# 2. Reactions: to a push from below, move 5 cm up for a second; dragged far, hold still.
-lifted = Force("z", above=6.0, toward="+").for_seconds(0.05)
-dragged = Deviation("y", above=0.08)
+# 2. Reactions: after a push from below, move 5 cm up for a second; after a long drag, hold still.
+upward_push = Force("z", above=6.0, toward="+").for_seconds(0.05)
+sideways_drag = Deviation("y", above=0.08)
 reactions = [
     Reaction(
-        lifted,
-        [Call(lambda now: print(f"{now.time:.2f} s: felt {now.wrench}")), Retract(0.05)],
+        upward_push,
+        [Call(lambda moment: print(f"{moment.time:.2f} s: felt {moment.wrench}")), Retract(0.05)],
         until=After(1.0),
     ),
-    Reaction(dragged & ~lifted, Hold()),
+    Reaction(sideways_drag & ~upward_push, Hold()),
 ]
 monitor = pliant.ReactionMonitor(controller, reactions, contact=contact)
 print("\n".join(repr(reaction.when) for reaction in reactions))
@@ -52,11 +52,9 @@ for tick in range(round(seconds * plant.rate)):
     plant.write(command.goal, command.torque_limit)
     plant.advance()
     if tick % 50 == 49:
-        pushed, height = plant.hands[0].force[2], 1e3 * (plant.tool[2, 3] - target[2, 3])
+        force, height = plant.hands[0].force[2], 1e3 * (plant.tool[2, 3] - target[2, 3])
         state = "in force" if monitor.active else "resuming" if monitor.resuming else "free"
-        print(
-            f"{plant.time:.1f} s: {contact.estimate.force[2]:+5.1f} N felt, {pushed:4.1f} N true,"
-        )
+        print(f"{plant.time:.1f} s: {contact.estimate.force[2]:+5.1f} N felt, {force:4.1f} N true,")
         print(f"       tool {height:+5.1f} mm, {state}")
 
 for line in monitor.log:

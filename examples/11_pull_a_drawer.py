@@ -1,7 +1,7 @@
-"""The arm pulls a drawer open whose slide is 10° off the assumed direction.
+"""Pull a drawer open whose slide is 10° off the assumed direction.
 
-With the preset the other translations follow the slide and the pull is capped, end stop included;
-with all axes stiff the arm levers against the slide.
+With the preset, the tool follows the slide, and the pull is capped, also at the end stop. With all
+axes stiff, the arm strains against the slide.
 """
 
 import os
@@ -17,13 +17,13 @@ START = [-0.626, -0.418, 0.784, -1.194, 0.811, 0.468, -0.115]  # [rad]
 ANGLE = np.deg2rad(10.0)
 
 model = pliant.robots.arm7()
-ways = {
+variants = {
     "drawer, the arm's own caps": pliant.Settings.drawer(axis="x"),
     "drawer, at most 10 N": pliant.Settings.drawer(axis="x", pull=10.0),
     "all axes stiff": pliant.Settings.firm(),
 }
 
-for name, settings in ways.items():
+for name, settings in variants.items():
     drawer = pliant.sim.drawer(axis=(-np.cos(ANGLE), np.sin(ANGLE), 0.0))
     arm = pliant.sim.Plant(model, scene=[drawer])
     arm.reset(START)

@@ -1,6 +1,6 @@
-"""The arm puts a plug into a hole that is 2 mm and 2° off, pushing with at most 10 N.
+"""Insert a plug into a hole that is 2 mm and 2° off, pushing with at most 10 N.
 
-Put the tool frame at the plug's tip: it then turns about the tip, as the chamfer requires.
+The tool frame is at the tip of the plug, so that the plug turns about its tip in the chamfer.
 """
 
 import os
@@ -15,12 +15,12 @@ SECONDS = 3.5 if os.environ.get("PLIANT_SHORT") else 6.0
 START = [-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657]  # [rad]
 
 model = pliant.robots.arm7()
-ways = {
+variants = {
     "plug": pliant.Settings.plug(axis="-z", push=10.0),
     "all axes stiff": pliant.Settings.firm(),
 }
 
-for name, settings in ways.items():
+for name, settings in variants.items():
     socket = pliant.sim.Socket(offset=(-0.002, 0.002, -0.02), tilt=(0.0, np.deg2rad(2.0), 0.0))
     arm = pliant.sim.Plant(model, scene=[socket])
     arm.reset(START)

@@ -1,4 +1,4 @@
-"""A stiff axis meets a wall: its target yields, the whole target waits, or the force builds up.
+"""Limit the deviation of a stiff axis at a wall: its target yields, or the whole target waits.
 
 `deviation_limit` bounds the deviation of a stiff axis, and so its force.
 """
@@ -15,13 +15,13 @@ SECONDS = 4.0 if os.environ.get("PLIANT_SHORT") else 9.0
 START = [-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657]  # [rad]
 
 model = pliant.robots.arm7()
-ways = {
+variants = {
     "no limit": pliant.Axis(),
     "follow": pliant.Axis(deviation_limit=0.01, on_deviation_limit="yield"),  # [m]
     "hold": pliant.Axis(deviation_limit=0.01, on_deviation_limit="wait"),
 }
 
-for name, axis in ways.items():
+for name, axis in variants.items():
     wall = pliant.sim.Wall(distance=0.03, stiffness=2e4, damping=50.0)
     arm = pliant.sim.Plant(model, scene=[wall])
     arm.reset(START)

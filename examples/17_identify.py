@@ -40,11 +40,11 @@ if not SHORT:
     print(f"weigh\n{pliant.identify.estimate_payload(arm, controller, span=0.4).summary()}\n")
 
 # 3. Everything: two and a half minutes of simulated time, poses within ±0.4 rad.
-found = pliant.identify.identify_servos(arm, model, table, span=0.4)
-print(f"identify\n{found}\n")
+result = pliant.identify.identify_servos(arm, model, table, span=0.4)
+print(f"identify\n{result}\n")
 
 # 4. A controller with all results: table, payload and delay.
-controller = found.controller(model, settings)
+controller = result.controller(model, settings)
 target = model.forward_kinematics(arm.read().q)
 for _ in range(200):
     command = controller.step(arm.read().q, target)

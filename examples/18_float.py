@@ -1,4 +1,4 @@
-"""Hand guiding: the arm is weightless and stays where it is left, even with k_p wrong by half.
+"""Hand guiding: the arm is weightless and stays where it is released, also with a wrong k_p.
 
 python examples/18_float.py
 """
@@ -28,22 +28,22 @@ for kp_scale in (0.5, 1.0, 2.0):
     arm.reset(START)
 
     floating = pliant.HandGuiding(model, table)  # then call step(q) at every tick
-    places, forces, ready = [], [], 0
+    positions, forces, start = [], [], 0
     while arm.time < 11.0 + 2.0 * SECONDS:
         command = floating.step(arm.read().q)
         arm.write(command.goal, command.torque_limit)
         arm.advance()
-        ready += not floating.ready  # the initial swing: do not touch the arm
-        places.append(arm.tool[:3, 3])
+        start += not floating.ready  # the initial motion: do not touch the arm
+        positions.append(arm.tool[:3, 3])
         forces.append(abs(arm.hands[0].force[1]))
 
-    way = 1e3 * np.linalg.norm(np.array(places) - places[ready], axis=1)  # [mm]
-    alone = way[ready : ready + round(100 * SECONDS)].max()
-    gone = round(100 * course.end)
-    stays = 1e3 * np.linalg.norm(np.array(places[gone:]) - places[gone], axis=1).max()
+    distances = 1e3 * np.linalg.norm(np.array(positions) - positions[start], axis=1)  # [mm]
+    idle_motion = distances[start : start + round(100 * SECONDS)].max()
+    release = round(100 * course.end)
+    drift = 1e3 * np.linalg.norm(np.array(positions[release:]) - positions[release], axis=1).max()
     low, high = floating.stiffness / model.servos.kp
     print(
-        f"k_p × {kp_scale:3.1f}: untouched {alone:.1f} mm in {SECONDS:.0f} s, led by "
-        f"{np.median(forces[round(100 * course.start) + 50 : gone - 100]):.1f} N, "
-        f"then moves {stays:.1f} mm; shoulder k_p taken for {low[0]:.2f} to {high[0]:.2f} × table"
+        f"k_p × {kp_scale:3.1f}: untouched {idle_motion:.1f} mm in {SECONDS:.0f} s, led by "
+        f"{np.median(forces[round(100 * course.start) + 50 : release - 100]):.1f} N, "
+        f"then moves {drift:.1f} mm; shoulder k_p taken for {low[0]:.2f} to {high[0]:.2f} × table"
     )

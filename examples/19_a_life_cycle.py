@@ -1,4 +1,4 @@
-"""The life cycle: torque on in order, an error handled, and a descent at the end.
+"""Life cycle of an arm: torque on, an error that is handled, and a descent at the end.
 
 Runs on a simulated SO-101; `pliant.connect("my_arm.toml")` connects a real one. Ctrl-C lowers it at
 any time.

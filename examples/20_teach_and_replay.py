@@ -1,4 +1,4 @@
-"""A hand teaches a motion; the arm repeats it softly, waits while it is held, and continues.
+"""Teach a motion by hand; the arm repeats it softly, waits while it is held, and continues.
 
 In the shell: `pliant teach my_arm.toml wave.json`, then `pliant replay my_arm.toml wave.json
 --soft "y=2"`. Here a simulated SO-101 and scripted hands; with the extra "log" the replay is
@@ -17,7 +17,7 @@ import pliant
 import pliant.sim
 import pliant.teach
 
-HELD = 2.0 if os.environ.get("PLIANT_SHORT") else 5.0  # [s]
+HOLD_TIME = 2.0 if os.environ.get("PLIANT_SHORT") else 5.0  # [s]
 START = [0.0, -0.3, 0.3, 0.9, 0.0]  # [rad]
 folder = Path(tempfile.mkdtemp())
 print(f"files: {folder}")
@@ -31,16 +31,16 @@ def grip(axis, distance, start, rise, end):
     )
 
 
-# Teach: hand guiding; from 14 s on a hand moves the tool to the side and up, and lets go.
+# Teach by hand guiding: from 14 s on, a hand moves the tool to the side and up, and lets go.
 hands = [grip("y", 0.08, 14.0, 3.0, 17.5), grip("z", 0.03, 14.0, 3.0, 17.5)]
 with pliant.connect("so101", backend="sim", q=START, scene=hands) as arm:
     motion = pliant.teach.record(arm, on_status=print)
 motion.save(folder / "wave.json")
 
-# Replay: y gives way to 2 N; a hand holds the tool from the start, then lets go.
+# Replay with y soft (2 N): a hand holds the tool from the start, then lets go.
 motion = pliant.teach.Motion.load(folder / "wave.json")
 settings = pliant.Settings(task="xyz", axes={"y": pliant.Axis(soft=2.0, profile="constant")})
-wall = grip("y", 0.0, 0.0, 0.0, 7.0 + HELD)
+wall = grip("y", 0.0, 0.0, 0.0, 7.0 + HOLD_TIME)
 
 with contextlib.ExitStack() as stack:
     arm = stack.enter_context(pliant.connect("so101", backend="sim", q=START, scene=[wall]))

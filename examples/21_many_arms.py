@@ -24,7 +24,7 @@ def postures(count: int) -> np.ndarray:
 
 
 def targets_near(q: np.ndarray) -> np.ndarray:
-    """Return tool poses (N, 4, 4) a few centimetres away."""
+    """Return tool poses (N, 4, 4) a few centimetres from those at q (N, n) [rad]."""
     return model.forward_kinematics_batch(q + rng.uniform(-0.1, 0.1, q.shape))
 
 
@@ -32,30 +32,30 @@ q = postures(ARMS)
 targets = targets_near(q)
 state = controller.batch_state(ARMS)
 command = controller.step_batch(q, targets, state=state)  # later calls write into its arrays
-alone, same = pliant.Controller(model, settings), True
-alone.step(q[0], targets[0])
+single_controller, is_equal = pliant.Controller(model, settings), True
+single_controller.step(q[0], targets[0])
 
-arrived, spent = 0, 0.0
+arrivals, spent = 0, 0.0
 for _ in range(TICKS):
-    # Massless springs under gravity: each tick covers a tenth of the distance to rest.
+    # Stand-in for a simulator: each tick covers a tenth of the distance to the equilibrium.
     q += 0.1 * (command.goal - q - model.gravity_batch(q) / model.servos.kp)
     tool = model.forward_kinematics_batch(q)
-    done = np.linalg.norm(tool[:, :3, 3] - targets[:, :3, 3], axis=1) < 0.005
-    done[0] = False  # keep the first arm, for comparison
-    if done.any():
-        arrived += int(done.sum())
-        q[done] = postures(int(done.sum()))
-        targets[done] = targets_near(q[done])
-        state.reset(done)
+    is_at_target = np.linalg.norm(tool[:, :3, 3] - targets[:, :3, 3], axis=1) < 0.005
+    is_at_target[0] = False  # keep the first arm, for comparison
+    if is_at_target.any():
+        arrivals += int(is_at_target.sum())
+        q[is_at_target] = postures(int(is_at_target.sum()))
+        targets[is_at_target] = targets_near(q[is_at_target])
+        state.reset(is_at_target)
     start = time.perf_counter()
     controller.step_batch(q, targets, state=state, out=command)
     spent += time.perf_counter() - start
-    single = alone.step(q[0], targets[0])
-    same &= np.array_equal(single.goal, command.goal[0])
+    single = single_controller.step(q[0], targets[0])
+    is_equal &= np.array_equal(single.goal, command.goal[0])
 
-print(f"{arrived} episodes of {ARMS} arms ended on their targets")
+print(f"{arrivals} episodes of {ARMS} arms ended on their targets")
 print(f"{ARMS * TICKS / spent / 1e6:.2f} million steps a second on every core together")
-print(f"first arm as with a controller of its own: {same}")
+print(f"first arm as with a controller of its own: {is_equal}")
 
 # Without a state each row is independent, e.g. to label a data set.
 q = postures(ARMS)

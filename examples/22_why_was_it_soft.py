@@ -1,4 +1,4 @@
-"""Why was the arm soft there, and firm here? Log a run, and write a report of it.
+"""Log a run, and write a report that explains where the arm was soft and where it was firm.
 
 A hand pulls the tool sideways, where it yields, then down, where it holds. In the shell:
 `pliant run my_arm.toml --log run.mcap`, then `pliant log report run.mcap`. Needs the extras "log"
@@ -23,7 +23,7 @@ folder = Path(tempfile.mkdtemp())
 
 
 def pull(axis, start):
-    """Return a hand that moves the tool by 0.15 m within a second and lets go after another."""
+    """Return a hand that moves the tool by 0.15 m within 1 s and lets go 1 s later."""
     course = pliant.sim.ForceProfile(start=start, rise=1.0, end=start + 2.0)
     return pliant.sim.Drag(
         axis=axis, distance=0.15, stiffness=3000.0, limit=60.0, at="tool", course=course
@@ -41,11 +41,11 @@ with pliant.Arm(plant.model, pliant.sim.SimDrive(plant)) as arm:
         tick.step(target)
 
 log = pliant.log.read(folder / "run.mcap")
-# Repeat the controller beside a ContactEstimator: the log has no force.
-seen = forces.estimate_forces(log)
+# The log has no forces: run the controller again, with a ContactEstimator.
+estimates = forces.estimate_forces(log)
 for k in range(3):
-    force = float(np.abs(seen.force[:, k]).max())
-    print(findings.sentence(log, seen, k), f"Felt: {force:.0f} N at most.")
+    force = float(np.abs(estimates.force[:, k]).max())
+    print(findings.sentence(log, estimates, k), f"Felt: {force:.0f} N at most.")
 for span in findings.spans(log)[:3]:
     took = span.end - span.start
     print(f"{span.joint} at its bound from {span.start:.2f} s for {took:.2f} s, by {span.axis}")

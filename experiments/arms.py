@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 AXES = ("x", "y", "z", "roll", "pitch", "yaw")
 #: Number of random poses of an arm, and smallest accepted singular value of the Jacobian of a pose,
 #: as a share of the median over these poses.
-DRAWN, LEAST_SIGMA = 512, 0.65
+SAMPLES, LEAST_SIGMA = 512, 0.65
 #: Force caps of the campaign as shares of the arm's median static capacity (`Arm.capacity`): for
 #: translations, and for rotations.
 SHARES = ((0.15, 0.30, 0.60), (0.07, 0.14))
@@ -93,7 +93,7 @@ class Arm:
     def drawn(self) -> Array:
         """Random poses (512, n) [rad] within the joint `ranges`."""
         low, high = ranges(self.model)
-        return np.random.default_rng(0).uniform(low, high, (DRAWN, self.model.n))
+        return np.random.default_rng(0).uniform(low, high, (SAMPLES, self.model.n))
 
     def sigma(self, q: Array) -> Array:
         """Return the smallest singular value of the task rows of the Jacobian (..., 6, n) at q.
@@ -110,8 +110,8 @@ class Arm:
     def poses(self, count: int) -> Array:
         """Return the first `count` of `drawn` that are not near a singularity (count, n) [rad]."""
         sigma = self.sigma(self.drawn)
-        good: Array = self.drawn[sigma > LEAST_SIGMA * np.median(sigma)]
-        return good[:count]
+        accepted: Array = self.drawn[sigma > LEAST_SIGMA * np.median(sigma)]
+        return accepted[:count]
 
     def capacity(self, q: Array, row: int, sign: float, payload: float = 0.0) -> float:
         """Return the largest push along an axis that the servos hold in pose q [N or N·m].
@@ -167,9 +167,9 @@ def capacity(
     jacobian = model.jacobian(q)
     gravity = model.gravity(q) - payload * model.gravity_vector @ jacobian[:3]
     lever = sign * jacobian[row]
-    moved = np.abs(lever) > 1e-6
+    is_moved = np.abs(lever) > 1e-6
     room = np.asarray(servos.max_torque) + np.sign(lever) * gravity
-    return float((room[moved] / np.abs(lever[moved])).min(initial=np.inf))
+    return float((room[is_moved] / np.abs(lever[is_moved])).min(initial=np.inf))
 
 
 @cache
@@ -186,27 +186,29 @@ def load(name: str) -> Arm:
         known = ", ".join((*robots.names(), *BESIDE))
         raise pliant.ConfigError(f"no arm {name!r} in the campaign; there are {known}")
     file, base, tip = BESIDE[name]
-    bare = pliant.Model.from_urdf(ROBOTS / file, base=base, tip=tip)
-    servos = _table(name, bare)
+    model = pliant.Model.from_urdf(ROBOTS / file, base=base, tip=tip)
+    servos = _table(name, model)
     return Arm(name, pliant.Model.from_urdf(ROBOTS / file, base=base, tip=tip, servos=servos))
 
 
 def available() -> tuple[list[str], list[str]]:
     """Return two lists of names: arms that can be loaded, and arms whose URDF is missing."""
-    there = [name for name, (file, _, _) in BESIDE.items() if (ROBOTS / file).exists()]
-    return [*robots.names(), *there], [name for name in BESIDE if name not in there]
+    available_names = [name for name, (file, _, _) in BESIDE.items() if (ROBOTS / file).exists()]
+    return [*robots.names(), *available_names], [
+        name for name in BESIDE if name not in available_names
+    ]
 
 
-def _table(name: str, bare: pliant.Model) -> pliant.Servos:
-    """Return servo parameters for the model `bare` of a real robot, which has none.
+def _table(name: str, model: pliant.Model) -> pliant.Servos:
+    """Return servo parameters for the model of a real robot, which has none.
 
     They are those of a built-in arm of the same type, or estimates by the simulator.
     """
-    like = {"so101 (real)": "so101", "koch (real)": "koch"}.get(name)
-    if like is not None:
-        ours = load(like).servos
+    built_in = {"so101 (real)": "so101", "koch (real)": "koch"}.get(name)
+    if built_in is not None:
+        table = load(built_in).servos
         fields = ("kp", "max_torque", "friction", "damping", "armature", "encoder_step")
-        cut = {field: np.asarray(getattr(ours, field))[: bare.n] for field in fields}
-        speed = np.asarray(ours.no_load_speed)[: bare.n]
+        cut = {field: np.asarray(getattr(table, field))[: model.n] for field in fields}
+        speed = np.asarray(table.no_load_speed)[: model.n]
         return pliant.Servos(**cut, limit_type="pwm", no_load_speed=speed, stiffness_known=True)
-    return tabulate(bare, None).replace(stiffness_known=True)
+    return tabulate(model, None).replace(stiffness_known=True)

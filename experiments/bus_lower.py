@@ -70,25 +70,25 @@ def lower(family: str, q: Array, *, load: float = 0.0, over_table: bool = False)
         if over_table:
             low = min(bus.plant.tool[2, 3], bus.plant.wrist[2]) - TABLE
             bus.plant.set_hands(table(low))
-        on = PeakRecorder(bus)
-        on.begin()
+        enable_peaks = PeakRecorder(bus)
+        enable_peaks.begin()
         arm.enable()
-        left = on.start - float(bus.plant.tool[2, 3])
-        on.end()
-        down = PeakRecorder(bus)
-        down.begin()
-        begun = bus.plant.time
+        sag = enable_peaks.start - float(bus.plant.tool[2, 3])
+        enable_peaks.end()
+        descent_peaks = PeakRecorder(bus)
+        descent_peaks.begin()
+        start = bus.plant.time
         arm.lower()
-        seconds, force = bus.plant.time - begun, down.force
+        seconds, force = bus.plant.time - start, descent_peaks.force
         bus.advance(AFTER)
-        resting = sum(float(np.linalg.norm(felt.force)) for felt in bus.plant.hands)
+        rest_force = sum(float(np.linalg.norm(hand.force)) for hand in bus.plant.hands)
     return LowerResult(
-        sank=on.start - on.lowest,
-        left=left,
-        lifted=on.speeds[False],
-        speed=down.speeds[False],
+        sank=enable_peaks.start - enable_peaks.lowest,
+        left=sag,
+        lifted=enable_peaks.speeds[False],
+        speed=descent_peaks.speeds[False],
         force=force,
-        resting=resting,
+        resting=rest_force,
         seconds=seconds,
     )
 
@@ -131,24 +131,24 @@ def main(
         "takes [s]",
     )
     print(program.head(columns))
-    seen: list[LowerResult] = []
+    results: list[LowerResult] = []
     for name, load, over_table in CASES:
-        seen = [lower(family, q, load=load, over_table=over_table) for q in starts]
+        results = [lower(family, q, load=load, over_table=over_table) for q in starts]
         cells = (
-            program.worst((one.sank for one in seen), 0, 1e3),
-            program.worst((one.left for one in seen), 0, 1e3),
-            program.worst((one.lifted for one in seen), 2),
-            program.worst((one.speed for one in seen), 2),
-            program.worst((one.force for one in seen), 1) if over_table else "",
-            program.worst((one.resting for one in seen), 1) if over_table else "",
-            program.worst((one.seconds for one in seen), 0),
+            program.worst((result.sank for result in results), 0, 1e3),
+            program.worst((result.left for result in results), 0, 1e3),
+            program.worst((result.lifted for result in results), 2),
+            program.worst((result.speed for result in results), 2),
+            program.worst((result.force for result in results), 1) if over_table else "",
+            program.worst((result.resting for result in results), 1) if over_table else "",
+            program.worst((result.seconds for result in results), 0),
         )
         print(program.row((name, *cells)), flush=True)
     rows = [
-        ("force", *(f"{one.force:.1f}" for one in seen)),
-        ("rests", *(f"{one.resting:.1f}" for one in seen)),
+        ("force", *(f"{result.force:.1f}" for result in results)),
+        ("rests", *(f"{result.resting:.1f}" for result in results)),
     ]
-    print("\n" + program.markdown(("pose", *(str(k) for k in range(len(seen)))), rows))
+    print("\n" + program.markdown(("pose", *(str(k) for k in range(len(results)))), rows))
 
 
 if __name__ == "__main__":

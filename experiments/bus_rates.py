@@ -54,9 +54,9 @@ def wire(model: str) -> float:
     family = ServoSpec(name="a", model=model, id=1, port="").row.family
     size = family.read[0].size
     if family.sync_read:
-        read = wire_time(family.protocol, "sync_read", SERVOS, size, baudrate=BAUD)
+        read_time = wire_time(family.protocol, "sync_read", SERVOS, size, baudrate=BAUD)
     else:
-        read = SERVOS * wire_time(family.protocol, "read", 1, size, baudrate=BAUD)
+        read_time = SERVOS * wire_time(family.protocol, "read", 1, size, baudrate=BAUD)
     writes = [
         wire_time(
             family.protocol,
@@ -67,19 +67,19 @@ def wire(model: str) -> float:
         )
         for names in family.write
     ]
-    return read + sum(writes)
+    return read_time + sum(writes)
 
 
-def measure(family: str, cycles: int, *, timed: bool) -> Rate:
+def measure(family: str, cycles: int, *, is_timed: bool) -> Rate:
     """Measure `cycles` cycles that run as fast as possible.
 
     The emulator runs in a separate process. `timed` is True if the emulator takes as long as the
     transmission on a real bus.
     """
     model = MODELS[family]
-    own: dict[str, Any] = {"operating_mode": 5} if family == "x" else {}
-    devices = [Device(model, id, return_delay_time=0, **own) for id in range(1, SERVOS + 1)]
-    with EmulatorProcess(Emulator, devices, timing=Timing(wire=timed)) as bus:
+    registers: dict[str, Any] = {"operating_mode": 5} if family == "x" else {}
+    devices = [Device(model, id, return_delay_time=0, **registers) for id in range(1, SERVOS + 1)]
+    with EmulatorProcess(Emulator, devices, timing=Timing(wire=is_timed)) as bus:
         specs = [ServoSpec(name=f"j{d.id}", model=model, id=d.id, port=bus.port) for d in devices]
         with ServoBus(specs, baudrate=BAUD, reply_timeout_min=0.05) as chain:
             limit = 0.2 * np.asarray(chain.servos.max_torque)
@@ -102,18 +102,18 @@ def share(family: str, seconds: float) -> float:
 
     The arm has emulated servos of the family, and the loop runs for `seconds` [s].
     """
-    read = configuration(family)
+    arm_config = configuration(family)
     with EmulatorProcess(emulator, family) as bus:
-        chain = ServoBus(factory.servo_specs(read, bus.ports), reply_timeout_min=0.05)
-        arm = Arm(read.model(), chain, comm_timeout=5.0, handle_signals=False)
+        chain = ServoBus(factory.servo_specs(arm_config, bus.ports), reply_timeout_min=0.05)
+        arm = Arm(arm_config.model(), chain, comm_timeout=5.0, handle_signals=False)
         with chain:
             arm.enable()
             controller = pliant.Controller(arm.model, pliant.Settings.soft("y"), arm.servos)
             target = arm.model.forward_kinematics(arm.read().q)
-            used, begin = time.process_time(), time.perf_counter()
+            cpu_start, begin = time.process_time(), time.perf_counter()
             for tick in Loop(arm, controller, rate=100.0, duration=seconds, max_step_time=5.0):
                 tick.write(controller.step(tick.q, target, dt=tick.dt))
-            out = (time.process_time() - used) / (time.perf_counter() - begin)
+            out = (time.process_time() - cpu_start) / (time.perf_counter() - begin)
             arm.disable_torque()
     return out
 
@@ -135,10 +135,14 @@ def main(cycles: tyro.conf.Positional[int] = 1000) -> None:
     )
     print(program.head(columns))
     for family in FAMILIES:
-        timed = measure(family, cycles, timed=True)
-        bare = measure(family, cycles, timed=False)
-        rates = [f"{1.0 / timed.wire:.0f}", f"{1.0 / timed.median:.0f}", f"{timed.ratio:.0%}"]
-        rates += [f"{1e3 * timed.late:.1f}", f"{1.0 / bare.median:.0f}"]
+        with_times = measure(family, cycles, is_timed=True)
+        without_times = measure(family, cycles, is_timed=False)
+        rates = [
+            f"{1.0 / with_times.wire:.0f}",
+            f"{1.0 / with_times.median:.0f}",
+            f"{with_times.ratio:.0%}",
+        ]
+        rates += [f"{1e3 * with_times.late:.1f}", f"{1.0 / without_times.median:.0f}"]
         print(program.row((MODELS[family], *rates, f"{share(family, CONTROLLED):.0%}")), flush=True)
     print(f"load of the machine: {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors")
 

@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     #: Name of an arm and name of a disturbance.
     Key = tuple[str, str]
     #: Results of all pushes, by the names of arm and disturbance.
-    Found = Mapping[tuple[str, str], Sequence["Promise"]]
+    Results = Mapping[tuple[str, str], Sequence["Promise"]]
     #: Results of pushes, by the label of their line in the picture.
     Groups = Mapping[str, Sequence["Promise"]]
 
@@ -148,7 +148,7 @@ class Promise:
         rubs: Reported friction force of the remaining joints at the stop; 0 if not `announced`
             [N or N·m].
         promise: Expected force min(F, (1 - η)|e| / C_jj) at the deviation e [N or N·m].
-        felt: Measured force on the hand [N or N·m].
+        measured: Measured force on the hand [N or N·m].
         friction: Force on the hand by friction and damping, Σ_i |J⁺_ij| (τ_f,i + d_i |q̇_i|) over
             the joints i, with the assumed dry friction τ_f; damping d counts only for a hand whose
             force is evaluated in motion [N or N·m].
@@ -176,7 +176,7 @@ class Promise:
     announced: bool = False
     rubs: float = 0.0
     promise: float = np.nan
-    felt: float = np.nan
+    measured: float = np.nan
     friction: float = np.nan
     true_friction: float = np.nan
     band: float = np.nan
@@ -190,17 +190,17 @@ class Promise:
     @property
     def error(self) -> float:
         """Measured minus expected force, as a share of the cap."""
-        return (self.felt - self.promise) / self.cap
+        return (self.measured - self.promise) / self.cap
 
     @property
     def kept(self) -> bool:
         """True if the measured force is in the band."""
-        return abs(self.felt - self.promise) <= self.band
+        return abs(self.measured - self.promise) <= self.band
 
     @property
     def kept_as_said(self) -> bool:
         """True if the measured force is in a band with the larger one of `rubs` and `friction`."""
-        return abs(self.felt - self.promise) <= self.band + max(self.rubs - self.friction, 0.0)
+        return abs(self.measured - self.promise) <= self.band + max(self.rubs - self.friction, 0.0)
 
     @property
     def stopped(self) -> bool:
@@ -212,11 +212,11 @@ class Promise:
         if self.kept or not (self.locked or self.stop != 0.0):
             return False
         band = self.band - self.friction + max(self.left, self.friction)
-        return abs(self.felt - self.stop - self.promise) <= band
+        return abs(self.measured - self.stop - self.promise) <= band
 
 
 class Bench:
-    """Simulated arm, hand and controllers under one disturbance; reused for all pushes."""
+    """Simulated arm, hand and controllers under one disturbance, for any number of pushes."""
 
     def __init__(self, arm: Arm, disturbance: Disturbance = UNDISTURBED) -> None:
         """Build the simulated arm and the hand."""
@@ -271,18 +271,18 @@ class Bench:
             cap: Cap of the axis [N or N·m].
             guided: True if springs hold the other axes.
         """
-        row, seen = AXES.index(axis), self.disturbance
-        named: dict[str, Any] = {
+        row, disturbance = AXES.index(axis), self.disturbance
+        axis_options: dict[str, Any] = {
             "pose": pose,
             "axis": axis,
             "sign": sign,
             "cap": cap,
             "guided": guided,
         }
-        if self.arm.capacity(q, row, sign, seen.payload) < cap:
-            return Promise(**named, refused=True)
+        if self.arm.capacity(q, row, sign, disturbance.payload) < cap:
+            return Promise(**axis_options, refused=True)
         controller = self._controller(axis, cap)
-        if seen.captured:
+        if disturbance.captured:
             controller.capture_gravity(*self._capture(q))
         plant, grip, model = self.plant, self.grip, self.arm.model
         plant.reset(q)
@@ -291,29 +291,32 @@ class Bench:
         report = controller.report(q).axes[axis]
         stop = report.stop[int(sign > 0.0)]
         stop_distance = np.inf if stop is None else stop.distance
-        way, speed = self._hand_motion(q, row, cap)
-        if seen.short < np.inf:
-            way = min(way, seen.short * stop_distance)
-        # The push reaches a stop only if the tool does. The tool moves less than the hand, by the
-        # stretch of the hand's spring at the largest force in the band.
-        allowed, rubs = (0.40 if seen.wrong else 0.15) * cap, report.friction
-        far = way - (cap + allowed + rubs) / grip.stiffness[row]
-        announced = stop is not None and stop.distance < far and stop.friction > rubs + allowed
+        distance, speed = self._hand_motion(q, row, cap)
+        if disturbance.short < np.inf:
+            distance = min(distance, disturbance.short * stop_distance)
+        # A joint meets its stop only if the tool moves far enough. The tool moves less than the
+        # hand, by the stretch of the hand's spring at the largest force in the band.
+        tolerance, rubs = (0.40 if disturbance.wrong else 0.15) * cap, report.friction
+        tool_distance = distance - (cap + tolerance + rubs) / grip.stiffness[row]
+        announced = (
+            stop is not None and stop.distance < tool_distance and stop.friction > rubs + tolerance
+        )
         target = model.forward_kinematics(q)
-        last = START + way / speed
-        end = last if seen.moving else last + REST
-        felt, moved, speeds, drift, stiff = [], [], [], 0.0, [r for r in range(3) if r != row]
+        last = START + distance / speed
+        end = last if disturbance.moving else last + REST
+        forces, displacements, speeds, drift = [], [], [], 0.0
+        stiff = [r for r in range(3) if r != row]
         stiff = [r for r in stiff if r in self.arm.rows]
 
-        def push(now: float, plant: Plant) -> None:
-            grip.move(row, sign * speed if START <= now < last - 1e-9 else 0.0)
+        def push(time: float, plant: Plant) -> None:
+            grip.move(row, sign * speed if START <= time < last - 1e-9 else 0.0)
 
         goal = target[:3, 3] if self._has_no_rotation else target
-        for now, _, _ in closed_loop(plant, controller, goal, end, on_tick=push):
-            if now >= end - EVALUATED:
+        for time, _, _ in closed_loop(plant, controller, goal, end, on_tick=push):
+            if time >= end - EVALUATED:
                 error = pliant.functional.pose_error(plant.tool, target)
-                felt.append(sign * grip.force(row))
-                moved.append(abs(error[row]))
+                forces.append(sign * grip.force(row))
+                displacements.append(abs(error[row]))
                 speeds.append(np.abs(plant.dq))
                 drift = max(drift, float(np.linalg.norm(error[stiff])))
         jacobian = model.jacobian(plant.q)[self.arm.rows]
@@ -321,24 +324,24 @@ class Bench:
         inverse = np.abs(column)
         c = float(jacobian[self.arm.rows.index(row)] ** 2 @ self.compliance)
         joint_speed = np.mean(speeds, axis=0)
-        rubs = self.damping * joint_speed if seen.moving else 0.0 * joint_speed
+        rubs = self.damping * joint_speed if disturbance.moving else 0.0 * joint_speed
         dry = self._dry_friction(plant.q)
         friction = float(inverse @ (dry + rubs))
         moves = ~np.asarray(controller.diagnostics.locked)
-        left = np.abs(np.linalg.pinv(jacobian[:, moves])[:, self.arm.rows.index(row)])
+        weights = np.abs(np.linalg.pinv(jacobian[:, moves])[:, self.arm.rows.index(row)])
         space = np.minimum(plant.q - model.lower, np.asarray(model.upper) - plant.q)
         return Promise(
-            **named,
+            **axis_options,
             refused=False,
             announced=announced,
             rubs=stop.friction if stop is not None and announced else 0.0,
-            promise=min(cap, (1.0 - seen.eta) * float(np.mean(moved)) / c),
-            felt=float(np.mean(felt)),
+            promise=min(cap, (1.0 - disturbance.eta) * float(np.mean(displacements)) / c),
+            measured=float(np.mean(forces)),
             friction=friction,
             true_friction=float(inverse @ (plant.friction + rubs)),
-            band=(0.40 if seen.wrong else 0.15) * cap + friction,
+            band=(0.40 if disturbance.wrong else 0.15) * cap + friction,
             stop=-sign * float(column @ self._stop_torques()),
-            left=float(left @ dry[moves]),
+            left=float(weights @ dry[moves]),
             locked=bool(np.any(controller.diagnostics.locked)),
             room=float(space.min()),
             drift=drift,
@@ -366,14 +369,14 @@ class Bench:
         """
         kind = row // 3
         c = float(self.arm.model.jacobian(q)[row] ** 2 @ self.compliance)
-        alone = DISTANCE_FACTOR * cap * c / (1.0 - self.disturbance.eta) + EXTRA_DISTANCE[kind]
-        way = min(alone, MAX_DISTANCE[kind]) + cap / self.grip.stiffness[row]
-        return way, MOVING_SPEED[kind] if self.disturbance.moving else way / RISE
+        distance = DISTANCE_FACTOR * cap * c / (1.0 - self.disturbance.eta) + EXTRA_DISTANCE[kind]
+        length = min(distance, MAX_DISTANCE[kind]) + cap / self.grip.stiffness[row]
+        return length, MOVING_SPEED[kind] if self.disturbance.moving else length / RISE
 
-    def _settings(self, **more: Any) -> pliant.Settings:
+    def _settings(self, **options: Any) -> pliant.Settings:
         delay = sum(self.disturbance.delay) / self.plant.rate
         task = " ".join(self.arm.axes)
-        return pliant.Settings(task=task, delay=delay, **NO_RATE_LIMITS).replace(**more)
+        return pliant.Settings(task=task, delay=delay, **NO_RATE_LIMITS).replace(**options)
 
     def _controller(self, axis: str, cap: float) -> pliant.Controller:
         key = (axis, cap)
@@ -458,9 +461,9 @@ def gears(arm: str) -> tuple[Disturbance, Disturbance]:
 @lru_cache(maxsize=2)
 def _bench(arm: str, disturbance: str) -> Bench:
     """Return the `Bench` of an arm under a disturbance; consecutive jobs share it."""
-    known = {one.name: one for one in (UNDISTURBED, *DISTURBANCES)}
+    known = {option.name: option for option in (UNDISTURBED, *DISTURBANCES)}
     if disturbance not in known:
-        known |= {one.name: one for one in gears(arm)}
+        known |= {option.name: option for option in gears(arm)}
     return Bench(load(arm), known[disturbance])
 
 
@@ -482,9 +485,9 @@ def campaign_jobs(
         out += [Job(name, UNDISTURBED, pose) for pose in range(count)]
         tenth = max(1, count // TENTH)
         if main and disturbed:
-            out += [Job(name, one, pose) for one in DISTURBANCES for pose in range(tenth)]
+            out += [Job(name, case, pose) for case in DISTURBANCES for pose in range(tenth)]
         if friction and name in REAL_GEARS:
-            out += [Job(name, one, pose) for one in gears(name) for pose in range(tenth)]
+            out += [Job(name, case, pose) for case in gears(name) for pose in range(tenth)]
     return out
 
 
@@ -501,8 +504,8 @@ def run_campaign(
     Yields:
         Pairs: the names of arm and disturbance, and the list of results of their jobs.
     """
-    done = run_jobs(work, processes, "campaign", resume)
-    pairs = zip(work, done, strict=True)
+    results = run_jobs(work, processes, "campaign", resume)
+    pairs = zip(work, results, strict=True)
     for key, group in groupby(pairs, key=lambda pair: (pair[0].arm, pair[0].disturbance.name)):
         yield key, [promise for _, promises in group for promise in promises]
 
@@ -575,23 +578,23 @@ class Row:
         return self.kept_rest >= GOALS[self.disturbance != "nominal"]
 
 
-def summary(arm: str, disturbance: str, found: Sequence[Promise]) -> Row:
-    """Return the statistics of the results `found` of one arm under one disturbance."""
-    run = [one for one in found if not one.refused]
-    caps = {axis: sorted({p.cap for p in found if p.axis == axis}) for axis in "xyz"}
+def summary(arm: str, disturbance: str, promises: Sequence[Promise]) -> Row:
+    """Return the statistics of the results `promises` of one arm under one disturbance."""
+    run = [promise for promise in promises if not promise.refused]
+    caps = {axis: sorted({p.cap for p in promises if p.axis == axis}) for axis in "xyz"}
     drifts = [
         1e3 * p.drift
         for p in run
         if not p.guided and caps.get(p.axis) and p.cap == caps[p.axis][len(caps[p.axis]) // 2]
     ]
     free = [p for p in run if not p.guided]
-    clear = [p for p in run if p.room >= CLEAR]
+    clear_pushes = [p for p in run if p.room >= CLEAR]
     return Row(
         arm=arm,
         disturbance=disturbance,
-        poses=len({p.pose for p in found}),
-        cases=len(found),
-        refused=1.0 - len(run) / max(len(found), 1),
+        poses=len({p.pose for p in promises}),
+        cases=len(promises),
+        refused=1.0 - len(run) / max(len(promises), 1),
         kept=_share([p.kept for p in run]),
         kept_free=_share([p.kept for p in free]),
         kept_guided=_share([p.kept for p in run if p.guided]),
@@ -600,10 +603,10 @@ def summary(arm: str, disturbance: str, found: Sequence[Promise]) -> Row:
         kept_announced=_share([p.kept for p in run if p.announced]),
         as_said=_share([p.kept_as_said for p in run if p.announced]),
         stopped=_share([p.stopped for p in run]),
-        kept_clear=_share([p.kept for p in clear]),
-        clear=len(clear) / max(len(run), 1),
+        kept_clear=_share([p.kept for p in clear_pushes]),
+        clear=len(clear_pushes) / max(len(run), 1),
         kept_truly=_share(
-            [abs(p.felt - p.promise) <= p.band - p.friction + p.true_friction for p in run]
+            [abs(p.measured - p.promise) <= p.band - p.friction + p.true_friction for p in run]
         ),
         median=_quantile([abs(p.error) for p in run], 0.5),
         p95=_quantile([abs(p.error) for p in run], 0.95),
@@ -656,30 +659,32 @@ def text(rows: Sequence[Row]) -> str:
     return program.markdown(COLUMNS, lines)
 
 
-def save_results(folder: Path, rows: Sequence[Row], found: Found, about: Mapping[str, Any]) -> None:
+def save_results(
+    folder: Path, rows: Sequence[Row], results: Results, options: Mapping[str, Any]
+) -> None:
     """Write `results.json` into a folder: options, statistics, and every push outside the band.
 
-    `about` contains the options of the campaign.
+    `options` are those of the campaign.
     """
-    missed = [
-        {"arm": arm, "disturbance": disturbance, **asdict(one)}
-        for (arm, disturbance), promises in found.items()
-        for one in promises
-        if not (one.refused or one.kept)
+    outside = [
+        {"arm": arm, "disturbance": disturbance, **asdict(promise)}
+        for (arm, disturbance), promises in results.items()
+        for promise in promises
+        if not (promise.refused or promise.kept)
     ]
-    write_results(folder, {**about, "rows": [asdict(row) for row in rows], "missed": missed})
+    write_results(folder, {**options, "rows": [asdict(row) for row in rows], "missed": outside})
 
 
-def draw(folder: Path, rows: Sequence[Row], found: Found) -> None:
+def draw(folder: Path, rows: Sequence[Row], results: Results) -> None:
     """Draw `campaign.png`: distributions of the force errors, by arm and by disturbance.
 
     The second panel has the disturbances of the first arm in `rows`.
     """
     first = rows[0].arm if rows else ""
     panels = {
-        "Nominal, by arm": {arm: p for (arm, name), p in found.items() if name == "nominal"},
+        "Nominal, by arm": {arm: p for (arm, name), p in results.items() if name == "nominal"},
         f"{first}, one disturbance at a time": {
-            name: p for (arm, name), p in found.items() if arm == first
+            name: p for (arm, name), p in results.items() if arm == first
         },
     }
     draw_errors(panels, folder, "campaign")
@@ -708,19 +713,19 @@ def draw_errors(panels: Mapping[str, Groups], folder: Path, stem: str) -> None:
 
 def _draw_quantiles(ax: Any, groups: Groups) -> None:
     """Draw one line per group: middle 95 % and 50 % of the errors, median, share in the band."""
-    for place, promises in enumerate(reversed(list(groups.values()))):
+    for position, promises in enumerate(reversed(list(groups.values()))):
         run = [p for p in promises if not p.refused]
         if not run:
             continue
         marks = 100.0 * np.quantile([p.error for p in run], (0.025, 0.25, 0.5, 0.75, 0.975))
         low, a, middle, b, high = np.clip(marks, -100.0, 100.0)
-        ax.plot((low, high), (place, place), color=SKY, linewidth=2.0)
-        ax.plot((a, b), (place, place), color=BLUE, linewidth=6.0)
-        ax.plot(middle, place, "|", color=CARD, markersize=8, markeredgewidth=1.5)
+        ax.plot((low, high), (position, position), color=SKY, linewidth=2.0)
+        ax.plot((a, b), (position, position), color=BLUE, linewidth=6.0)
+        ax.plot(middle, position, "|", color=CARD, markersize=8, markeredgewidth=1.5)
         share = 100.0 * float(np.mean([p.kept for p in run]))
         ax.annotate(
             f"{share:.1f} % in band",
-            (1.0, place),
+            (1.0, position),
             xycoords=("axes fraction", "data"),
             ha="right",
             va="center",
@@ -748,19 +753,19 @@ def gears_text() -> str:
         Markdown table with forces in N, drift in mm, and the door's opening in deg.
     """
     measures = {
-        "15 N hand": goals.dragged(controllers.cap(), DRAG_15N),
-        "strong hand": goals.dragged(controllers.cap(), DRAG_80N),
+        "15 N hand": goals.measure_drag(controllers.cap(), DRAG_15N),
+        "strong hand": goals.measure_drag(controllers.cap(), DRAG_80N),
         "door, rigid grip": goals.door("door"),
     }
     gears = REAL_GEARS["arm7"]
-    under = {
+    conditions = {
         "friction of the table": NOMINAL,
         "gears as they are": Conditions(gears=gears),
         "identified": Conditions(gears=gears, gears_known=True),
-        "assumed × 0.7": Conditions(gears=gears, gears_known=True, believed=0.7),
+        "assumed × 0.7": Conditions(gears=gears, gears_known=True, assumed_ratio=0.7),
         "identified, a tick each way": Conditions(gears=gears, gears_known=True, delay=(1, 1)),
     }
-    return goals.comparison(measures, under)
+    return goals.comparison(measures, conditions)
 
 
 def main(
@@ -784,22 +789,22 @@ def main(
         disturbed: True includes the disturbances on arm7.
         resume: Folder in which results are kept; a second run continues there.
     """
-    there, absent = available()
+    names, absent = available()
     for name in absent:
         print(f"campaign: SKIPPED {name}: its URDF is not in {ROBOTS}: set PLIANT_ROBOTS")
-    arms = list(arm) or there
+    arms = list(arm) or names
     work = campaign_jobs(arms, poses, disturbed=disturbed, friction=friction)
-    found: dict[tuple[str, str], list[Promise]] = {}
+    results: dict[tuple[str, str], list[Promise]] = {}
     rows: list[Row] = []
     for key, promises in run_campaign(work, jobs, resume):
-        found[key] = promises
+        results[key] = promises
         rows.append(summary(*key, promises))
         lines = text(rows).splitlines()
         print("\n".join(lines[-1:] if len(rows) > 1 else lines), flush=True)
     if friction and "arm7" in arms:
         print(gears_text())
-    save_results(out, rows, found, {"poses": poses, "arms": arms, "skipped": absent})
-    draw(out, rows, found)
+    save_results(out, rows, results, {"poses": poses, "arms": arms, "skipped": absent})
+    draw(out, rows, results)
     print(f"campaign: {out / 'results.json'}, {out / 'campaign.png'}")
 
 

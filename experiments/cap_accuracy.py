@@ -99,8 +99,8 @@ def poses(count: int, margin: float = 0.0, seed: int = 0) -> tuple[Array, ...]:
     low, high = np.asarray(model.lower) + margin, np.asarray(model.upper) - margin
     sample = rng.uniform(low, high, (512, model.n))
     sigmas = np.array([_sigma(q) for q in sample])
-    good = sample[sigmas > LEAST_SIGMA * np.median(sigmas)]
-    return tuple(good[:count])
+    accepted = sample[sigmas > LEAST_SIGMA * np.median(sigmas)]
+    return tuple(accepted[:count])
 
 
 def cases(count: int, margin: float = 0.0, seed: int = 0) -> Iterator[Case]:
@@ -139,16 +139,21 @@ def keep(case: Case, *, guided: bool = False, conditions: Conditions = NOMINAL) 
     """
     index = AXES.index(case.axis)
     course = ForceProfile(start=0.5, rise=1.0, end=np.inf)
-    way = case.sign * (
+    distance = case.sign * (
         DISTANCE_FACTOR * case.cap * _compliance(case.q, index) + EXTRA_DISTANCE[index // 3]
     )
     hand: Hand
     if index < 3:
         hand = Drag(
-            axis=case.axis, distance=way, stiffness=3000.0, limit=80.0, at="tool", course=course
+            axis=case.axis,
+            distance=distance,
+            stiffness=3000.0,
+            limit=80.0,
+            at="tool",
+            course=course,
         )
     else:
-        hand = Twist(axis=case.axis, angle=way, stiffness=60.0, limit=8.0, course=course)
+        hand = Twist(axis=case.axis, angle=distance, stiffness=60.0, limit=8.0, course=course)
     scene: list[Hand] = [hand]
     if guided:
         scene.append(SpringConstraint(axes=" ".join(name for name in AXES if name != case.axis)))
@@ -156,13 +161,13 @@ def keep(case: Case, *, guided: bool = False, conditions: Conditions = NOMINAL) 
     settings = Settings(axes={case.axis: soft}, **NO_RATE_LIMITS)
     target = arm().forward_kinematics(case.q)
     trace = run(conditions.build(*scene), conditions.controller(settings), target, END, q=case.q)
-    last, still = trace.q[-1], trace.between(SETTLED, END)
-    felt = (trace.force if index < 3 else trace.moment)[still, index % 3]
+    last, is_still = trace.q[-1], trace.between(SETTLED, END)
+    force = (trace.force if index < 3 else trace.moment)[is_still, index % 3]
     inverse = np.linalg.pinv(arm().jacobian(last))[:, index]
     deviation = abs(float(trace.error[-1, index]))
     return CapResult(
         cap=case.cap,
         promise=min(case.cap, deviation / _compliance(last, index)),
-        measured=case.sign * float(felt.mean()),
+        measured=case.sign * float(force.mean()),
         friction=float(np.abs(inverse) @ np.asarray(servos().friction)),
     )

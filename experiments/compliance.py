@@ -29,9 +29,9 @@ STEADY = Drag(
     at="tool",
     course=ForceProfile(start=1.0, rise=6.0, end=7.0),
 )
-#: Run `block`: distance of the wall from the tool, final distance of the target behind the surface
-#: of the wall, and final sideways distance of the target from the tool's start [m].
-GAP, BEHIND, ASIDE = 0.03, 0.07, 0.10
+#: Distances in `block` [m]: initial gap between tool and wall, final depth of the target in the
+#: wall, and final sideways distance of the target from its start.
+GAP, DEPTH, ASIDE = 0.03, 0.07, 0.10
 #: Time at which the wall is removed [s].
 WALL_END = 6.0
 
@@ -114,7 +114,7 @@ def block(law: pliant.Settings, *, conditions: Conditions = NOMINAL) -> BlockRes
 
     def target(t: float) -> Array:
         share = min(max((t - 1.0) / 2.0, 0.0), 1.0)
-        return displaced(displaced(start, "x", share * (GAP + BEHIND)), "y", share * ASIDE)
+        return displaced(displaced(start, "x", share * (GAP + DEPTH)), "y", share * ASIDE)
 
     def take_away(time: float, plant: Plant) -> None:
         if abs(time - WALL_END) < 0.5 * plant.period:
@@ -161,13 +161,13 @@ def jump(law: pliant.Settings, *, conditions: Conditions = NOMINAL) -> JumpResul
         conditions: Control rate, delays, true servo parameters, assumptions of the controller.
     """
     start = tool(VERTICAL)
-    there = displaced(displaced(start, "x", 0.10), "y", 0.10)
+    target = displaced(displaced(start, "x", 0.10), "y", 0.10)
     plant, controller = conditions.build(), conditions.controller(law)
-    trace = run(plant, controller, lambda t: there if t >= 1.0 else start, 5.0, q=VERTICAL)
-    off = np.linalg.norm(trace.error[:, :3], axis=1)
+    trace = run(plant, controller, lambda t: target if t >= 1.0 else start, 5.0, q=VERTICAL)
+    distance = np.linalg.norm(trace.error[:, :3], axis=1)
     return JumpResult(
-        after=float(trace.t[np.flatnonzero(off > 3e-3)[-1]]) - 1.0,
-        left=float(off[-1]),
+        after=float(trace.t[np.flatnonzero(distance > 3e-3)[-1]]) - 1.0,
+        left=float(distance[-1]),
         speed=metrics.speed(trace, 4.0, 5.0),
         trace=trace,
     )

@@ -64,7 +64,7 @@ class Case:
         identified: True if the controller assumes the friction of `gears`.
         sensed: True if servos report their load, with errors up to 10 % and 1 % noise.
         delay: Delay of readings and commands, known to the controller [ticks].
-        told: Further options of `pliant.ContactEstimator`, which replace those of `options`.
+        estimator: Further options of `pliant.ContactEstimator`, which replace those of `options`.
     """
 
     name: str
@@ -76,12 +76,12 @@ class Case:
     identified: bool = False
     sensed: bool = False
     delay: tuple[int, int] = (0, 0)
-    told: Mapping[str, Any] = field(default_factory=dict)
+    estimator: Mapping[str, Any] = field(default_factory=dict)
 
     def options(self) -> dict[str, Any]:
         """Return the options of `pliant.ContactEstimator`, with the case's largest errors."""
         known = {"kp_error": max(self.kp, 0.02), "gravity_error": 0.02, "load_error": 0.1}
-        return {"friction_error": max(self.friction, 0.05), **known, **self.told}
+        return {"friction_error": max(self.friction, 0.05), **known, **self.estimator}
 
 
 @dataclass(frozen=True)
@@ -89,13 +89,13 @@ class Record:
     """Record of one run, with one row per reading.
 
     Attributes:
-        felt: Estimated force [N] and torque [N·m] on the tool in base axes (N, 6).
-        bound: Uncertainty of `felt` (N, 6).
+        wrench: Estimated force [N] and torque [N·m] on the tool in base axes (N, 6).
+        bound: Uncertainty of `wrench` (N, 6).
         truth: True force and torque on the tool in the period before the reading (N, 6).
         evidence: Largest ratio of a joint's torque residual to its uncertainty (N,).
     """
 
-    felt: Array
+    wrench: Array
     bound: Array
     truth: Array
     evidence: Array
@@ -118,13 +118,17 @@ class Bump:
 
     def force(self, ground_truth: GroundTruth, t: float) -> tuple[Array, Array, Array]:
         """Return force, torque and point of application, as `pliant.sim.Hand` defines them."""
-        place, none = ground_truth.frame("tool").position, np.zeros(3)
+        position, no_torque = ground_truth.frame("tool").position, np.zeros(3)
         if not CONTACT_START <= t < CONTACT_START + CONTACT_DURATION:
-            return none, none, place
+            return no_torque, no_torque, position
         if self._met is None:
-            self._met = place.copy()
-        deep = self.speed * (t - CONTACT_START) - float(self.direction @ (place - self._met))
-        return min(max(self.stiffness * deep, 0.0), self.limit) * self.direction, none, place
+            self._met = position.copy()
+        deep = self.speed * (t - CONTACT_START) - float(self.direction @ (position - self._met))
+        return (
+            min(max(self.stiffness * deep, 0.0), self.limit) * self.direction,
+            no_torque,
+            position,
+        )
 
 
 class Bench:
@@ -142,26 +146,31 @@ class Bench:
         """
         low, high = np.asarray(self.arm.model.lower), np.asarray(self.arm.model.upper)
         room = 0.5 if self.arm.model.n > 5 else 0.3
-        found = self.arm.poses(len(self.arm.drawn))
-        clear: Array = found[((found > low + room) & (found < high - room)).all(axis=1)]
-        held = [self.arm.capacity(q, 2, -1.0) > 0.3 * self.arm.median_capacity[0] for q in clear]
-        poses: Array = clear[np.array(held)]
+        candidates = self.arm.poses(len(self.arm.drawn))
+        away_from_stops: Array = candidates[
+            ((candidates > low + room) & (candidates < high - room)).all(axis=1)
+        ]
+        is_held = [
+            self.arm.capacity(q, 2, -1.0) > 0.3 * self.arm.median_capacity[0]
+            for q in away_from_stops
+        ]
+        poses: Array = away_from_stops[np.array(is_held)]
         return poses
 
     def contact(self, number: int) -> Record:
         """Run one random contact and return its record."""
         rng = np.random.default_rng((number, 1))
         q = self.poses[number % len(self.poses)]
-        direction, way = _direction(rng), _direction(rng)
-        most = rng.uniform(*FORCE) * 0.45 * self.arm.median_capacity[0]
-        hand = Bump(direction, _log(rng, STIFFNESS), _log(rng, SPEED), most)
+        direction, motion = _direction(rng), _direction(rng)
+        max_force = rng.uniform(*FORCE) * 0.45 * self.arm.median_capacity[0]
+        hand = Bump(direction, _log(rng, STIFFNESS), _log(rng, SPEED), max_force)
         speed = rng.uniform(*MOTION) if rng.random() < 0.5 else 0.0
         pose = self.arm.model.forward_kinematics(q)
 
         def target(t: float) -> Array:
-            moved = pose.copy()
-            moved[:3, 3] += way * speed * max(t - 0.2, 0.0)
-            return moved
+            moved_pose = pose.copy()
+            moved_pose[:3, 3] += motion * speed * max(t - 0.2, 0.0)
+            return moved_pose
 
         plant, controller, contact = self._make(rng, (hand,))
         return self._run(
@@ -232,24 +241,26 @@ class Bench:
         plant.reset(q)
         controller.reset(q)
         count = round(seconds * RATE)
-        felt, bound, truth = (np.zeros((count, 6)) for _ in range(3))
+        wrench, bound, truth = (np.zeros((count, 6)) for _ in range(3))
         evidence = np.zeros(count)
-        usable = np.asarray(self.arm.servos.max_torque)
-        gain = rng.uniform(0.9, 1.1, usable.size)
+        max_torque = np.asarray(self.arm.servos.max_torque)
+        gain = rng.uniform(0.9, 1.1, max_torque.size)
         for tick in range(count):
-            reading = plant.read().q
+            positions = plant.read().q
             load = None
             if self.case.sensed and tick > 0:
-                load = gain * plant.torque + 0.01 * usable * rng.standard_normal(usable.size)
-            found = contact.update(reading, load=load)
-            felt[tick], bound[tick] = found.force_base, found.uncertainty_base
-            evidence[tick] = found.residual_ratio
+                load = gain * plant.torque + 0.01 * max_torque * rng.standard_normal(
+                    max_torque.size
+                )
+            estimate = contact.update(positions, load=load)
+            wrench[tick], bound[tick] = estimate.force_base, estimate.uncertainty_base
+            evidence[tick] = estimate.residual_ratio
             if plant.hands:
                 truth[tick, :3] = plant.hands[0].force
-            command = controller.step(reading, target(tick / RATE))
+            command = controller.step(positions, target(tick / RATE))
             plant.write(command.goal, command.torque_limit)
             plant.advance()
-        return Record(felt, bound, truth, evidence)
+        return Record(wrench, bound, truth, evidence)
 
 
 class _Path:
@@ -273,8 +284,8 @@ class _Path:
                 self._to, self._end = self._from, self._begin + 0.5
         s = (t - self._begin) / (self._end - self._begin)
         smooth = s * s * s * (10.0 + s * (6.0 * s - 15.0))
-        where: Array = self._from + smooth * (self._to - self._from)
-        return where
+        joints: Array = self._from + smooth * (self._to - self._from)
+        return joints
 
 
 def _direction(rng: np.random.Generator) -> Array:
@@ -332,7 +343,7 @@ class Rule:
             out = (record.evidence > self.size)[:, None]
         else:
             scale = record.bound[:, :3] if self.kind == "guarded" else 1.0
-            out = np.abs(record.felt[:, :3]) > self.size * scale
+            out = np.abs(record.wrench[:, :3]) > self.size * scale
         out[:START] = False
         return out
 
@@ -372,23 +383,23 @@ class RuleResult:
     force: float
 
 
-def events(beyond: NDArray[np.bool_]) -> list[int]:
+def events(is_above: NDArray[np.bool_]) -> list[int]:
     """Return the indices of the readings at which a mask (N,) causes a detection.
 
     Each stretch of at least `READINGS` true readings causes one, at its reading number `READINGS`.
     """
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], beyond.astype(np.int8), [0]))))
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], is_above.astype(np.int8), [0]))))
     stretches = zip(edges[::2], edges[1::2], strict=True)
     return [int(a) + READINGS - 1 for a, b in stretches if b - a >= READINGS]
 
 
-def first(felt: NDArray[np.bool_]) -> int | None:
+def first(is_above: NDArray[np.bool_]) -> int | None:
     """Return the index of the first reading at which a column of a mask (N, k) detects a contact.
 
     None means that no column detects one.
     """
-    found = [e for column in felt[FIRST:].T for e in events(column)]
-    return FIRST + min(found) if found else None
+    detections = [e for column in is_above[FIRST:].T for e in events(column)]
+    return FIRST + min(detections) if detections else None
 
 
 def least_silent(free: Sequence[Record], columns: slice) -> float:
@@ -396,12 +407,12 @@ def least_silent(free: Sequence[Record], columns: slice) -> float:
 
     `columns` selects the components of the estimated force and torque.
     """
-    most = 0.0
+    threshold = 0.0
     for record in free:
-        force = np.abs(record.felt[START:, columns])
+        force = np.abs(record.wrench[START:, columns])
         lasting = np.lib.stride_tricks.sliding_window_view(force, READINGS, axis=0).min(axis=-1)
-        most = max(most, float(lasting.max()))
-    return most
+        threshold = max(threshold, float(lasting.max()))
+    return threshold
 
 
 def evaluate(
@@ -416,32 +427,32 @@ def evaluate(
         free: Runs without contact.
         contacts: Runs with one contact each.
     """
-    late: list[float] = []
+    latencies: list[float] = []
     after: list[float] = []
     force: list[float] = []
-    strong = missed = seen = 0
+    strong = missed_count = seen_count = 0
     for record in contacts:
         true = np.abs(record.truth[:, :3])
         is_strong = bool(((true > strength).sum(axis=0) >= STRONG_READINGS).any())
-        found = first(rule.beyond(record))
+        detection = first(rule.beyond(record))
         strong += is_strong
-        missed += is_strong and found is None
-        if found is not None:
-            seen += 1
-            after.append((found - FIRST + 1) / RATE)
-            force.append(float(true[found].max()))
+        missed_count += is_strong and detection is None
+        if detection is not None:
+            seen_count += 1
+            after.append((detection - FIRST + 1) / RATE)
+            force.append(float(true[detection].max()))
             if is_strong:
                 passed = int(np.flatnonzero((true > strength).any(axis=1))[0])
-                late.append(max(found - passed, 0) / RATE)
+                latencies.append(max(detection - passed, 0) / RATE)
     return RuleResult(
         case=case,
         rule=rule,
         alarms=sum(len(events(c)) for record in free for c in rule.beyond(record).T),
-        hours=sum(len(record.felt) for record in free) / RATE / 3600.0,
+        hours=sum(len(record.wrench) for record in free) / RATE / 3600.0,
         strong=strong,
-        missed=missed / max(strong, 1),
-        seen=seen / max(len(contacts), 1),
-        late=_quantiles(late),
+        missed=missed_count / max(strong, 1),
+        seen=seen_count / max(len(contacts), 1),
+        late=_quantiles(latencies),
         after=_quantiles(after),
         force=float(np.median(force)) if force else float("nan"),
     )
@@ -456,7 +467,7 @@ def estimate_errors(free: Sequence[Record], contacts: Sequence[Record]) -> dict[
     """
     out = {}
     for name, records in (("free", free), ("contact", contacts)):
-        error = np.concatenate([(r.felt - r.truth)[START:, :3] for r in records])
+        error = np.concatenate([(r.wrench - r.truth)[START:, :3] for r in records])
         bound = np.concatenate([r.bound[START:, :3] for r in records])
         out[f"{name} rms"] = float(np.sqrt((error**2).mean()))
         out[f"{name} bound"] = float(np.median(bound))
@@ -492,28 +503,30 @@ def draw(folder: Path, rows: Sequence[RuleResult]) -> None:
     from pliant._report import style
 
     cases = list(dict.fromkeys(row.case for row in rows))
-    across = min(len(cases), 4)
-    down = -(-len(cases) // across)
-    looks = {
+    columns = min(len(cases), 4)
+    row_count = -(-len(cases) // columns)
+    styles = {
         "force": ("threshold [N]", style.ORANGE),
         "guarded": ("share of the bound", style.BLUE),
         "evidence": ("share of a joint's bound", style.GREEN),
     }
-    with style.canvas(down, across, size=(style.WIDE, 3.1 * down)) as (figure, axes):
+    with style.canvas(row_count, columns, size=(style.WIDE, 3.1 * row_count)) as (figure, axes):
         panels = [ax for line in axes for ax in line]
         for ax in panels[len(cases) :]:
             ax.set_visible(False)
         for ax, case in zip(panels, cases, strict=False):
-            for kind, (label, colour) in looks.items():
-                mine = sorted(
+            for kind, (label, colour) in styles.items():
+                points = sorted(
                     (row for row in rows if row.case == case and row.rule.kind == kind),
                     key=lambda row: row.rule.size,
                 )
                 # The axis is logarithmic, so zero alarms are drawn as half an alarm in the same
                 # time.
-                rate = [max(row.alarms, 0.5) / row.hours for row in mine]
-                seen = [100.0 * row.seen for row in mine]
-                ax.plot(rate, seen, "o-", color=colour, markersize=3, linewidth=1.2, label=label)
+                rate = [max(row.alarms, 0.5) / row.hours for row in points]
+                detected = [100.0 * row.seen for row in points]
+                ax.plot(
+                    rate, detected, "o-", color=colour, markersize=3, linewidth=1.2, label=label
+                )
             ax.set_xscale("log")
             ax.set_ylim(0.0, 102.0)
             ax.set_title(case, fontsize=8)
@@ -534,7 +547,7 @@ OTHERS = (
     Case("gears as they are", gears=True),
     Case("load reported", sensed=True),
     Case("load reported, gears as they are", sensed=True, gears=True),
-    Case("gears as they are, told so", gears=True, told={"friction_error": 2.0}),
+    Case("gears as they are, told so", gears=True, estimator={"friction_error": 2.0}),
     Case("gears as they are, identified ±30 %", gears=True, identified=True),
     Case("so101", arm="so101"),
 )
@@ -579,7 +592,7 @@ def measure(
     """
     pieces = round(60.0 * minutes / piece)
     free = list(run_jobs([Job(case, i, piece) for i in range(pieces)], processes, case.name))
-    met = list(run_jobs([Job(case, i) for i in range(contacts)], processes, case.name))
+    contact_records = list(run_jobs([Job(case, i) for i in range(contacts)], processes, case.name))
     capacity = Bench(case).arm.median_capacity[0]
     silent = least_silent(free, slice(0, 3))
     sizes = sorted([*(float(f"{share * capacity:.2g}") for share in SHARES), silent])
@@ -587,8 +600,8 @@ def measure(
     rules += [Rule("guarded", share) for share in GUARDS]
     rules += [Rule("evidence", share) for share in EVIDENCE]
     strength = STRONG_FORCE * capacity
-    rows = [evaluate(case.name, rule, strength, free, met) for rule in rules]
-    facts = estimate_errors(free, met)
+    rows = [evaluate(case.name, rule, strength, free, contact_records) for rule in rules]
+    facts = estimate_errors(free, contact_records)
     facts["strong [N]"], facts["silent [N]"] = strength, silent
     facts["silent [N·m]"] = least_silent(free, slice(3, 6))
     return rows, facts
@@ -618,12 +631,12 @@ def main(
         number, duration = round(share * contacts), round(share * minutes)
         if min(number, duration) < 1:
             continue
-        found, facts[case.name] = measure(case, number, duration, jobs)
-        print(text(found), flush=True)
+        rule_results, facts[case.name] = measure(case, number, duration, jobs)
+        print(text(rule_results), flush=True)
         print({name: round(value, 4) for name, value in facts[case.name].items()}, flush=True)
-        rows += found
-    about = {"contacts": contacts, "minutes": minutes, "facts": facts}
-    program.write_results(out, {**about, "rows": [asdict(row) for row in rows]})
+        rows += rule_results
+    options = {"contacts": contacts, "minutes": minutes, "facts": facts}
+    program.write_results(out, {**options, "rows": [asdict(row) for row in rows]})
     draw(out, rows)
     print(f"contacts: {out / 'results.json'}, {out / 'contacts.png'}")
 

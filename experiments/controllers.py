@@ -449,10 +449,10 @@ class Admittance:
     def listen(self, torque: Array) -> None:
         """Update the filtered motor torques: true `torque` (n,) [N·m] with sensor errors added."""
         size, sensor = self._limit, self._current
-        seen = torque + sensor.noise * size * self._chance.standard_normal(size.size)
-        seen = np.round(seen / (sensor.count * size)) * sensor.count * size
+        reading = torque + sensor.noise * size * self._chance.standard_normal(size.size)
+        reading = np.round(reading / (sensor.count * size)) * sensor.count * size
         self._load = self._load + self._period / (sensor.filter + self._period) * (
-            seen - self._load
+            reading - self._load
         )
 
     def step(self, q: Array, target: Array) -> Goals:
@@ -469,9 +469,9 @@ class Admittance:
         self._speed += pull * self._period / (body.mass + body.damper * self._period)
         self._speed = float(np.clip(self._speed, -body.most_speed, body.most_speed))
         self._offset += self._speed * self._period
-        wanted = np.array(target)
-        wanted[self._axis, 3] += self._offset
-        self._goal = np.asarray(self._model.inverse_kinematics(wanted, self._goal).q)
+        shifted = np.array(target)
+        shifted[self._axis, 3] += self._offset
+        self._goal = np.asarray(self._model.inverse_kinematics(shifted, self._goal).q)
         return Goals(self._goal + gravity / self._kp, self._limit)
 
 

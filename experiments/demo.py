@@ -59,11 +59,11 @@ def run(
         raise ConfigError(f"--jobs must be within 1 and {MOST_JOBS}, got {jobs}")
     if urdf is None and (base or tip):
         raise ConfigError("--base and --tip belong to --urdf, which was not given")
-    wanted = numbers(only)
+    selected = numbers(only)
     draw_off_screen()
     demonstration = _load()
     subject = _subject(robot, urdf, base, tip)
-    demonstration.choose(subject.experiments, wanted)
+    demonstration.choose(subject.experiments, selected)
     console = Console()
     columns = (
         TextColumn("{task.description}"),
@@ -73,16 +73,16 @@ def run(
     )
     with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task("experiments", total=None)
-        done = demonstration.run(
+        outcome = demonstration.run(
             out,
             subject=subject,
-            only=wanted,
+            only=selected,
             quick=quick,
             jobs=jobs,
             on_total=lambda steps: bar.update(task, total=steps),
             on_step=lambda _: bar.advance(task),
         )
-    _close(console, done)
+    _close(console, outcome)
 
 
 def numbers(text: str) -> tuple[int, ...]:
@@ -143,8 +143,8 @@ def missed(chapter: Chapter) -> list[str]:
             if not test.passed
         ]
         why = f"; {statement.because}" if statement.because else ""
-        said = "; ".join(failed) or statement.outcome
-        lines.append(f"{chapter.number} not kept: {statement.claim} {said}{why}")
+        text = "; ".join(failed) or statement.outcome
+        lines.append(f"{chapter.number} not kept: {statement.claim} {text}{why}")
     return lines
 
 
@@ -157,11 +157,11 @@ def _band(test: Check) -> str:
     return f"{test.low:.3g} to {test.high:.3g}"
 
 
-def _close(console: Console, done: Demonstration) -> None:
+def _close(console: Console, demo: Demonstration) -> None:
     """Print a summary of the demonstration, with the path of the report at the end."""
     from experiments.report import Verdict
 
-    paper = any(chapter.statements("paper") for chapter in done.chapters)
+    paper = any(chapter.statements("paper") for chapter in demo.chapters)
     table = Table(box=SIMPLE_HEAD, pad_edge=False, title_justify="left")
     if paper:
         table.title = "The paper's statements beside this run, and our own bands"
@@ -170,23 +170,25 @@ def _close(console: Console, done: Demonstration) -> None:
         table.add_column(heading, justify="right", no_wrap=True)
     table.add_column("bands kept", justify="right", no_wrap=True)
     facts = Table.grid(padding=(0, 2))
-    for chapter in done.chapters:
+    for chapter in demo.chapters:
         counts = [str(chapter.count(v, "paper") or "–") for v in Verdict] if paper else []
-        ours = chapter.statements("study")
-        kept = sum(s.verdict is Verdict.AGREES for s in ours)
-        table.add_row(f"{chapter.number} {chapter.title}", *counts, f"{kept} of {len(ours)}")
+        statements = chapter.statements("study")
+        agreed = sum(s.verdict is Verdict.AGREES for s in statements)
+        table.add_row(
+            f"{chapter.number} {chapter.title}", *counts, f"{agreed} of {len(statements)}"
+        )
         for name, value in chapter.headline:
             facts.add_row(f"[dim]{chapter.number}[/]", name, f"[bold]{value}[/]")
     console.print(table)
-    for chapter in done.chapters:
+    for chapter in demo.chapters:
         for line in missed(chapter):
             console.print(line, highlight=False, markup=False, soft_wrap=True)
     console.print(facts)
     console.print(
-        f"\n{len(done.pictures)} figures, every number in {done.results.name}, {done.seconds:.0f} s"
+        f"\n{len(demo.pictures)} figures, every number in {demo.results.name}, {demo.seconds:.0f} s"
     )
     # Print the path without rich, which would wrap it: a terminal cannot open a wrapped path.
-    print(done.report.resolve())
+    print(demo.report.resolve())
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -126,25 +126,27 @@ def run(
     """
     begin = perf_counter()
     draw_off_screen()
-    chosen = choose(subject.experiments, only)
+    experiments = choose(subject.experiments, only)
     options = Options(quick=quick, figures=out / "figures")
     options.figures.mkdir(parents=True, exist_ok=True)
-    planned = {number: module.jobs(options) for number, module in chosen.items()}
-    on_total(sum(len(runs) for runs in planned.values()) + len(chosen) + 1)
-    every = [
+    planned = {number: module.jobs(options) for number, module in experiments.items()}
+    on_total(sum(len(runs) for runs in planned.values()) + len(experiments) + 1)
+    all_jobs = [
         replace(job, key=f"{number}:{job.key}") for number, runs in planned.items() for job in runs
     ]
-    outcomes = run_by_key(every, jobs, progress=on_step)
-    own = {
+    outcomes = run_by_key(all_jobs, jobs, progress=on_step)
+    chapter_outcomes = {
         number: {job.key: outcomes[f"{number}:{job.key}"] for job in runs}
         for number, runs in planned.items()
     }
     drawing = [
-        Job(f"figures of {number}", module.draw, (own[number], options))
-        for number, module in chosen.items()
+        Job(f"figures of {number}", module.draw, (chapter_outcomes[number], options))
+        for number, module in experiments.items()
     ]
     run_by_key(drawing, jobs, progress=on_step)
-    chapters = tuple(module.chapter(module.measure(own[n])) for n, module in chosen.items())
+    chapters = tuple(
+        module.chapter(module.measure(chapter_outcomes[n])) for n, module in experiments.items()
+    )
     for chapter in chapters:
         # Fail here if a measured number is not finite. `results.json` may only have infinite
         # bounds, which it contains as null.
@@ -173,8 +175,8 @@ def choose(experiments: Mapping[int, Experiment], only: Sequence[int]) -> dict[i
     """
     unknown = [number for number in only if number not in experiments]
     if unknown:
-        there = ", ".join(f"{n} ({module.TITLE})" for n, module in experiments.items())
-        raise ConfigError(f"there is no experiment {unknown[0]}; choose from {there}")
+        known = ", ".join(f"{n} ({module.TITLE})" for n, module in experiments.items())
+        raise ConfigError(f"there is no experiment {unknown[0]}; choose from {known}")
     return {n: module for n, module in experiments.items() if not only or n in only}
 
 

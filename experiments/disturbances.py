@@ -91,23 +91,23 @@ def drag(
     trace = run(plant, controller, tool(q), duration, q=q, on_tick=_grip)
     axis = AXES.index(str(hand.axis))
     translation = axis < 3
-    felt = trace.force[:, axis] if translation else trace.moment[:, axis - 3]
+    hand_force = trace.force[:, axis] if translation else trace.moment[:, axis - 3]
     first = plant.hands[0]
-    along = trace.moved[:, axis]
+    displacement = trace.moved[:, axis]
     farthest = metrics.moved(trace, axis)
     positions = metrics.others(axis, "xyz")
     return DragResult(
         moved=farthest,
-        before=metrics.largest(along[trace.between(0.0, metrics.PULLING[0])]),
-        force=metrics.largest(felt),
+        before=metrics.largest(displacement[trace.between(0.0, metrics.PULLING[0])]),
+        force=metrics.largest(hand_force),
         peak=first.peak_force if translation else first.peak_torque,
-        held=float(felt[trace.between(*metrics.HELD)].mean()),
+        held=float(hand_force[trace.between(*metrics.HELD)].mean()),
         position=metrics.deviation(trace, positions),
         drift=metrics.drift(trace, positions),
         rotation=metrics.deviation(trace, metrics.others(axis, "rpy")),
-        back=abs(float(along[trace.at(metrics.PULLING[1] + 1.0)])),
-        end=abs(float(along[-1])),
-        stays=abs(abs(float(along[-1])) - farthest),
+        back=abs(float(displacement[trace.at(metrics.PULLING[1] + 1.0)])),
+        end=abs(float(displacement[-1])),
+        stays=abs(abs(float(displacement[-1])) - farthest),
         fastest=metrics.largest(trace.dq[trace.t > metrics.PULLING[1]]),
         trace=trace,
     )
@@ -188,7 +188,9 @@ def push_stiff(law: Law, axis: str, size: float, *, conditions: Conditions = NOM
     return mean * float(np.sign(size))
 
 
-def tapped(law: Law, axis: str, *, force: float = 6.0, conditions: Conditions = NOMINAL) -> float:
+def speed_after_tap(
+    law: Law, axis: str, *, force: float = 6.0, conditions: Conditions = NOMINAL
+) -> float:
     """Push the tool briefly along a base axis at 1 s, with a force [N].
 
     Returns:
@@ -223,12 +225,12 @@ def idle(
 ) -> IdleResult:
     """Hold a constant target for `duration` [s], at least 3, and return the motion of the arm."""
     trace = run(conditions.build(), conditions.controller(law), tool(q), duration, q=q)
-    late = trace.between(duration - 2.0, duration)
+    is_late = trace.between(duration - 2.0, duration)
     return IdleResult(
         error=float(np.linalg.norm(trace.error[-1, :3])),
         angle=float(np.linalg.norm(trace.error[-1, 3:])),
         speed=metrics.speed(trace, duration - 2.0, duration),
-        walk=float(np.linalg.norm(trace.position[-1] - trace.position[late][0])),
+        walk=float(np.linalg.norm(trace.position[-1] - trace.position[is_late][0])),
         trace=trace,
     )
 
@@ -273,8 +275,8 @@ def static_force(q: Array, limit: Array, direction: Array) -> float:
     lever = jacobian[:3].T @ direction
     friction = np.asarray(servos().friction)
     room = limit + friction + np.sign(lever) * model.gravity(q)
-    felt = np.abs(lever) > 1e-9
-    return float((room[felt] / np.abs(lever[felt])).min())
+    is_moved = np.abs(lever) > 1e-9
+    return float((room[is_moved] / np.abs(lever[is_moved])).min())
 
 
 def lose_host(
@@ -297,15 +299,15 @@ def lose_host(
     trace = run(
         silent.build(*hands), silent.controller(law), tool(VERTICAL), 2.0 + RISE, q=VERTICAL
     )
-    felt = trace.force @ direction
-    worst = int(np.argmax(felt))
+    hand_force = trace.force @ direction
+    worst = int(np.argmax(hand_force))
     death = trace.at(HOST_LOSS_TIME)
     limit = trace.limit[death]
-    alone = trace.between(HOST_LOSS_TIME, 2.0 if push is not None else np.inf)
+    is_evaluated = trace.between(HOST_LOSS_TIME, 2.0 if push is not None else np.inf)
     return HostLossResult(
-        force=float(felt[worst]),
+        force=float(hand_force[worst]),
         formula=static_force(trace.q[worst], limit, direction) if push is not None else np.inf,
-        moved=metrics.largest(trace.moved[alone, :3] - trace.moved[death, :3]),
+        moved=metrics.largest(trace.moved[is_evaluated, :3] - trace.moved[death, :3]),
         trace=trace,
     )
 
@@ -389,10 +391,10 @@ def bump(
     duration = 1.0 + (GAP + BEHIND) / speed + 3.0
     trace = run(plant, conditions.controller(law(soft=axis, eta=0.0)), target, duration, q=VERTICAL)
     force = np.abs(trace.force[:, index])
-    touched = float(trace.t[int(np.argmax(force > 0.0))])
+    contact_time = float(trace.t[int(np.argmax(force > 0.0))])
     return ImpactResult(
         peak=plant.hands[0].peak_force,
-        later=float(force[trace.t > touched + 0.3].max()),
+        later=float(force[trace.t > contact_time + 0.3].max()),
         final=float(force[trace.t > duration - 0.5].mean()),
         allowed=cap + speed * float(np.sqrt(stiffness * mass)),
         mass=mass,

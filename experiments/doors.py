@@ -163,8 +163,8 @@ class OpenCloseResult:
     """Result of opening and closing a door until it resists.
 
     Attributes:
-        ends: Opening of the leaf at each detected resistance, at most two [deg]: to opening, then
-            to closing.
+        ends: Angle of the door when resistance was detected [deg]: first while it was opened, then
+            while it was closed. An entry is missing if none was detected.
         force: Largest force at the handle in any physics step [N].
         trace: Recorded run.
     """

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from pliant.emulator import ArmEmulator
 
 
-#: Minimum time that the driver waits for a reply, by the wall clock [s]. The emulator's reply is
-#: lost if a busy computer delays it longer.
+#: Minimum reply timeout of the driver, by the wall clock [s]. A reply that a busy computer delays
+#: longer counts as lost.
 PATIENCE = 0.05
 
 
@@ -122,14 +122,14 @@ def stepped(
         patience: Minimum reply timeout, by the wall clock [s].
         **options: Options of `emulator`.
     """
-    read = configuration(family, q)
+    arm_config = configuration(family, q)
     with emulator(family, q=q, clock="steps", **options) as bus:
         drive = chain(
-            factory.servo_specs(read, bus.ports),
+            factory.servo_specs(arm_config, bus.ports),
             reply_timeout_min=patience,
             clock=ManualClock(bus),
         )
         try:
-            yield bus, Arm(read.model(), drive, **{"handle_signals": False, **arm})
+            yield bus, Arm(arm_config.model(), drive, **{"handle_signals": False, **arm})
         finally:
             drive.close()

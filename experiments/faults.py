@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 #: Id of the elbow's servo, in the middle of the arm.
 ELBOW = 4
-#: Number of repetitions that makes an injected fault permanent.
+#: Number of repetitions of an injected fault that is permanent.
 ALWAYS = 10**9
 
 
@@ -118,7 +118,7 @@ def _for_duration(
                     watchers.remove(watch)
                     end(scene.bus)
 
-            # The physics ends the fault: the control loop cannot if the fault blocks it.
+            # End the fault from the physics: the control loop may be blocked by the fault.
             watchers.append(watch)
         return scene.target
 
@@ -148,11 +148,11 @@ def _nan_command(scene: Scene) -> None:
     scene.tick.write(SimpleNamespace(goal=nothing, torque_limit=nothing))
 
 
-def _jump_target(axis: str, way: float) -> Callable[[Scene], Array | None]:
-    """Return an action that displaces the target by `way` [m] along an axis during one second."""
+def _jump_target(axis: str, distance: float) -> Callable[[Scene], Array | None]:
+    """Return an action that displaces the target by `distance` [m] along an axis for one second."""
 
     def act(scene: Scene) -> Array | None:
-        return displaced(scene.target, axis, way) if scene.since < 1.0 else scene.target
+        return displaced(scene.target, axis, distance) if scene.since < 1.0 else scene.target
 
     return act
 
@@ -344,7 +344,7 @@ class Allowed:
     """Bound on the force on a hand that pulls the tool along y.
 
     Attributes:
-        still: Bound with all joints at rest [N].
+        still: Bound while all joints are at rest [N].
         drag: Increase of the bound by the speed of each joint (n,) [N·s/rad].
     """
 
@@ -398,7 +398,7 @@ class PeakRecorder:
         The last physics step of the average had `count` steps.
         """
         plant = self.bus.plant
-        forces = np.array([felt.force for felt in plant.hands]).reshape(-1, 3)
+        forces = np.array([hand.force for hand in plant.hands]).reshape(-1, 3)
         if self._tick and self._tick[0][1].shape != forces.shape:
             self._tick.clear()
         self._tick.append((count, forces, self.allowed.at(plant.dq)))
@@ -418,13 +418,13 @@ class PeakRecorder:
         if plant.time <= self.begun:
             return
         speed = float(np.linalg.norm(plant.ground_truth.frame("tool").twist()[:3]))
-        late = plant.time > self.ended
-        self.speeds[late] = max(self.speeds[late], speed)
-        force, allowed = self._force_and_bound(count)
+        is_after = plant.time > self.ended
+        self.speeds[is_after] = max(self.speeds[is_after], speed)
+        force, bound = self._force_and_bound(count)
         self.force = max(self.force, force)
-        if force > 0.0 and force - allowed > self.worst[0] - self.worst[1]:
-            self.worst = (force, allowed)
-        if not late:
+        if force > 0.0 and force - bound > self.worst[0] - self.worst[1]:
+            self.worst = (force, bound)
+        if not is_after:
             self.joint = max(self.joint, float(np.abs(plant.dq).max()))
             self.lowest = min(self.lowest, float(plant.tool[2, 3]))
 
@@ -446,7 +446,7 @@ def run_fault(
     with stepped(case.family, arm=options, patience=patience) as (bus, arm):
         recorder = PeakRecorder(bus, FALL if case.state == "no torque" else 0.0)
         reason, torque = _run_loop(case, bus, arm, recorder, held=held, when=when)
-    speed, lowered = recorder.speeds[False], recorder.speeds[True]
+    speed, descent_speed = recorder.speeds[False], recorder.speeds[True]
     ending = "goes on" if not reason else "keeps its last order" if torque else "is lowered"
     if case.state == "no torque" and reason:
         ending = "falls, the rest " + ending.removeprefix("keeps its last order, ")
@@ -456,7 +456,7 @@ def run_fault(
         speed=speed,
         joint=recorder.joint,
         drop=max(recorder.start - recorder.lowest, 0.0),
-        lowered=lowered,
+        lowered=descent_speed,
         force=recorder.worst[0],
         allowed=recorder.worst[1] if recorder.worst[0] > 0.0 else recorder.allowed.still,
         torque=torque,
@@ -482,7 +482,7 @@ def _run_loop(
     reason = ""
     try:
         for tick in Loop(arm, controller, rate=settings.rate, duration=when + END):
-            wanted: Array | None = target
+            goal: Array | None = target
             if bus.plant.time >= when:
                 first = recorder.begun == np.inf
                 if first or case.state != "host loss":
@@ -491,10 +491,10 @@ def _run_loop(
                     recorder.begin()
                     if held:
                         bus.plant.set_hands([Grasp(when + HAND_DELAY)])
-                since = bus.plant.time - recorder.begun
-                wanted = case.act(Scene(bus, arm, tick, target, since, first))
-            if wanted is not None:
-                tick.write(controller.step(tick.q, wanted, dt=tick.dt))
+                time_since = bus.plant.time - recorder.begun
+                goal = case.act(Scene(bus, arm, tick, target, time_since, first))
+            if goal is not None:
+                tick.write(controller.step(tick.q, goal, dt=tick.dt))
     except HostLossError:
         reason = "killed"
     except (pliant.PliantError, KeyboardInterrupt) as error:
@@ -524,9 +524,9 @@ def _run_loop(
 
 
 class Grasp:
-    """Hand that grasps the tool where it is at a given time, and pulls it along y from there.
+    """Hand that grasps the tool at a given time, and pulls it along y from its position then.
 
-    A `Drag` alone would measure its distance from the tool's position at the reset of the plant.
+    A `Drag` alone pulls the tool from its position at the reset of the plant.
     """
 
     at = TOOL

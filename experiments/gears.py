@@ -44,16 +44,16 @@ if TYPE_CHECKING:
 PERIOD, CREEP = 0.01, 0.1
 #: Angle of an encoder count [rad].
 COUNT = float(np.deg2rad(0.088))
-#: Time that an arm at rest has to settle, shortest time after it, and window of one check of the
-#: joint speeds [s].
+#: Times of an arm at rest [s]: settling time, shortest observation time after it, and averaging
+#: window of the joint speeds.
 SETTLE, OBSERVED, WINDOW = 3.0, 3.0, 1.0
 #: Bounds of an arm at rest: largest displacement of the tool [m] and rms speed of the joints in a
 #: window [rad/s].
 STAYS, STILL = 2e-3, 0.02
 #: Change of a servo's torque that counts as a reversal, as a share of its usable torque.
 REVERSAL = 0.005
-#: Bounds of the learned ratio of true to assumed friction, least speed of a joint that teaches it
-#: [rad/s], least travel of such a joint [rad], and duration of the motion that teaches it [s].
+#: Learning of the ratio of true to assumed friction: bounds of the ratio, smallest joint speed
+#: [rad/s] and travel [rad] that count, and duration of the motion [s].
 LEARNED, TEACHING, TRAVEL, LESSON = (0.6, 1.5), 0.1, 0.1, 8.0
 
 
@@ -211,7 +211,7 @@ class Case:
         return table.replace(encoder_step=self.encoder_step)
 
 
-class Remedied:
+class RemedyController:
     """`pliant.Controller` whose command a remedy changes.
 
     Attributes:
@@ -222,7 +222,7 @@ class Remedied:
         """Make a controller for a case with settings that a remedy changes."""
         n, table = model(case.arm).n, case.table()
         if remedy.learns:
-            table = scaled(table, learned(case), 1.0)
+            table = scaled(table, friction_ratio(case), 1.0)
         self._settings = settings.replace(
             rate=1.0 / PERIOD,
             delay=2 * case.delay * PERIOD,
@@ -251,11 +251,11 @@ class Remedied:
 
     def friction(self) -> Array:
         """Return the assumed dry friction (n,) [N·m] at speed and load of the last step."""
-        seen = self.diagnostics
+        diagnostics = self.diagnostics
         constant, stribeck, load, load_stribeck = self._dry
-        x = np.abs(seen.velocity) / self._speed
+        x = np.abs(diagnostics.velocity) / self._speed
         share = 1.0 / (1.0 + x + x**2)
-        torque = np.abs(seen.gravity + seen.task_jacobian.T @ seen.wrench)
+        torque = np.abs(diagnostics.gravity + diagnostics.task_jacobian.T @ diagnostics.wrench)
         torque = np.minimum(torque, self._torque)
         out: Array = constant + share * stribeck + (load + share * load_stribeck) * torque
         return out
@@ -273,20 +273,20 @@ class Remedied:
 
     def _extra(self, target: Array) -> Array:
         """Return the torque (n,) [N·m] that the remedy adds to the command."""
-        seen, remedy = self.diagnostics, self._remedy
-        measured = np.asarray(seen.velocity)
+        diagnostics, remedy = self.diagnostics, self._remedy
+        measured = np.asarray(diagnostics.velocity)
         toward = measured.copy()
-        jacobian = np.asarray(seen.task_jacobian)
+        jacobian = np.asarray(diagnostics.task_jacobian)
         compliance = jacobian / self._kp @ jacobian.T + 1e-9 * np.eye(len(jacobian))
         if remedy.by_tool:
             toward = jacobian.T @ np.linalg.solve(compliance, jacobian @ measured) / self._kp
         if remedy.by_reference and self._before is not None:
-            moved = pliant.functional.pose_error(self._before, target)[: len(jacobian)]
-            stiff = (1.0 - np.asarray(seen.softness)) * moved / PERIOD
+            change = pliant.functional.pose_error(self._before, target)[: len(jacobian)]
+            stiff = (1.0 - np.asarray(diagnostics.softness)) * change / PERIOD
             toward = toward + jacobian.T @ np.linalg.solve(compliance, stiff) / self._kp
         dry = self.friction()
         v_0, share = remedy.saturation, self._settings.compensation.friction
-        extra = seen.gamma * share * dry * (np.tanh(toward / v_0) - np.tanh(measured / v_0))
+        extra = diagnostics.gamma * share * dry * (np.tanh(toward / v_0) - np.tanh(measured / v_0))
         if remedy.dither > 0.0:
             sign = 1.0 if self._tick // remedy.ticks % 2 else -1.0
             extra = extra + sign * remedy.dither * dry / (1.0 + (measured / 0.05) ** 2)
@@ -295,17 +295,16 @@ class Remedied:
 
 
 @cache
-def learned(case: Case) -> Array:
-    """Return the ratio of true to assumed friction (n,) that an observer finds in free motion.
+def friction_ratio(case: Case) -> Array:
+    """Return the ratio of true to assumed friction (n,) that is estimated in free motion.
 
-    The target moves on a circle through the workspace. A joint that moves teaches the ratio by
-    least squares: the lead of its goal, without gravity and damping, against the assumed friction.
-    A joint that hardly moves keeps 1. In contact the observer would have to be off, because it
-    takes a force of the hand for friction.
+    The target moves on a circle through the workspace. For each moving joint, least squares fit the
+    ratio of the torque from its lead, without gravity and damping, to the assumed friction. A joint
+    that hardly moves keeps 1. The method does not distinguish friction from the force of a hand.
     """
     plant, bench = case.build(), BENCHES[case.arm]
     table, arm = case.table(), model(case.arm)
-    controller = Remedied(controllers.cap(soft=""), case, Remedy(name="free motion"))
+    controller = RemedyController(controllers.cap(soft=""), case, Remedy(name="free motion"))
     home = arm.forward_kinematics(bench.start)
     radius = 0.3 * abs(bench.distance)
 
@@ -319,23 +318,22 @@ def learned(case: Case) -> Array:
     damping = np.asarray(table.damping) + np.asarray(table.kv)
     if table.limit_type == "pwm":
         damping = damping + np.asarray(table.max_torque) / np.asarray(table.no_load_speed)
-    up, down, travel = np.zeros(arm.n), np.zeros(arm.n), np.zeros(arm.n)
+    numerator, denominator, travel = np.zeros(arm.n), np.zeros(arm.n), np.zeros(arm.n)
     goals: list[Array] = [bench.start] * (2 * case.delay + 1)
     for _, _, command in closed_loop(plant, controller, circle, LESSON):
         goals.append(command.goal)
-        # The goal that the servos had before they took the last reading, and the positions in the
-        # middle of that period.
+        # Goal before the last reading was taken, and position in the middle of that period.
         v = np.asarray(controller.diagnostics.velocity)
         q = controller.reading - 0.5 * PERIOD * v
-        apparent = np.asarray(table.kp) * (goals[-2 - 2 * case.delay] - q)
-        apparent = apparent - arm.gravity(q) - damping * v
+        friction_torque = np.asarray(table.kp) * (goals[-2 - 2 * case.delay] - q)
+        friction_torque = friction_torque - arm.gravity(q) - damping * v
         assumed = controller.friction() * np.sign(v)
         teaches = np.abs(v) > TEACHING
-        up += np.where(teaches, apparent * assumed, 0.0)
-        down += np.where(teaches, assumed**2, 0.0)
+        numerator += np.where(teaches, friction_torque * assumed, 0.0)
+        denominator += np.where(teaches, assumed**2, 0.0)
         travel += np.where(teaches, np.abs(v) * PERIOD, 0.0)
     known = travel > TRAVEL
-    ratio = np.where(known, up / np.where(known, down, 1.0), 1.0)
+    ratio = np.where(known, numerator / np.where(known, denominator, 1.0), 1.0)
     return np.clip(ratio, *LEARNED)
 
 
@@ -350,7 +348,7 @@ class Result:
         reversals: Reversals of the servo torque at rest, mean over the joints [1/s].
         heat: Mean squared servo torque at rest over that of gravity alone [1].
         quiet: Time at rest before the tool leaves `STAYS` or a joint exceeds `STILL` [min].
-        rested: Time at rest that was simulated [min].
+        rested: Limit of the simulated time at rest [min].
     """
 
     drag: float
@@ -366,7 +364,7 @@ def measure(case: Case, remedy: str, minutes: float) -> Result:
     """Return the result of a remedy in one case; `minutes` is the time at rest [min]."""
     force = drag(case, REMEDIES[remedy])
     handle, angle = open_door(case, REMEDIES[remedy])
-    reversals, heat, quiet, rested = rest(case, REMEDIES[remedy], minutes)
+    reversals, heat, quiet, time_limit = rest(case, REMEDIES[remedy], minutes)
     return Result(
         drag=force,
         door=handle,
@@ -374,7 +372,7 @@ def measure(case: Case, remedy: str, minutes: float) -> Result:
         reversals=reversals,
         heat=heat,
         quiet=quiet,
-        rested=rested,
+        rested=time_limit,
     )
 
 
@@ -382,7 +380,7 @@ def drag(case: Case, remedy: Remedy) -> float:
     """Return the largest force of a hand that drags the arm along a soft axis [N]."""
     bench = BENCHES[case.arm]
     plant, axis = case.build(bench.hand), str(bench.hand.axis)
-    law = Remedied(controllers.cap(soft=axis), case, remedy)
+    law = RemedyController(controllers.cap(soft=axis), case, remedy)
     target = model(case.arm).forward_kinematics(bench.start)
 
     def grip(time: float, plant: Plant) -> None:
@@ -398,26 +396,28 @@ def open_door(case: Case, remedy: Remedy) -> tuple[float, float]:
     bench = BENCHES[case.arm]
     door = Door(**bench.door)
     null_space = pliant.NullSpace(gain=1.0)
-    law = Remedied(controllers.cap(soft=bench.soft, null_space=null_space), case, remedy)
+    law = RemedyController(controllers.cap(soft=bench.soft, null_space=null_space), case, remedy)
     target = pull(model(case.arm).forward_kinematics(bench.at_door), bench.distance)
     run(case.build(door), law, target, 9.5, q=bench.at_door)
     return door.peak_force, float(np.rad2deg(door.widest))
 
 
 def rest(case: Case, remedy: Remedy, minutes: float) -> tuple[float, float, float, float]:
-    """Return reversals [1/s], relative heat [1], quiet time and simulated time at rest [min].
+    """Hold the arm at rest on its target, until the first sign of a limit cycle or for `minutes`.
 
-    The simulation ends with the first sign of a limit cycle.
+    Returns:
+        Reversals of the joint torques per joint and second [1/s]; mean squared torque relative to
+        that of gravity [1]; time until the tool moved [min]; and the time limit [min].
     """
     bench, arm = BENCHES[case.arm], model(case.arm)
     plant = case.build()
-    law = Remedied(controllers.cap(soft=str(bench.hand.axis)), case, remedy)
+    law = RemedyController(controllers.cap(soft=str(bench.hand.axis)), case, remedy)
     plant.reset(bench.start)
     law.reset(bench.start)
     target = arm.forward_kinematics(bench.start)
     for _ in closed_loop(plant, law, target, SETTLE):
         pass
-    place, quiet = plant.tool[:3, 3], 0.0
+    start, quiet = plant.tool[:3, 3], 0.0
     torques: list[Array] = []
     speeds: list[float] = []
     seconds = max(60.0 * minutes, OBSERVED)
@@ -426,32 +426,34 @@ def rest(case: Case, remedy: Remedy, minutes: float) -> tuple[float, float, floa
             torques.append(plant.torque)
         speeds = [*speeds[1 - round(WINDOW / PERIOD) :], metrics.rms(plant.dq)]
         quiet = time + PERIOD
-        away = float(np.linalg.norm(plant.tool[:3, 3] - place))
+        drift = float(np.linalg.norm(plant.tool[:3, 3] - start))
         moves = len(speeds) * PERIOD >= WINDOW and metrics.rms(np.array(speeds)) > STILL
-        if away > STAYS or moves:
+        if drift > STAYS or moves:
             break
-    observed = np.array(torques)
+    samples = np.array(torques)
     band = REVERSAL * np.asarray(servos(case.arm).max_torque)
-    count = np.mean([_turns(column, size) for column, size in zip(observed.T, band, strict=True)])
-    heat = float(np.mean(np.sum(observed**2, axis=1)) / np.sum(arm.gravity(bench.start) ** 2))
-    return float(count) / (len(observed) * PERIOD), heat, quiet / 60.0, seconds / 60.0
+    count = np.mean(
+        [_reversals(column, size) for column, size in zip(samples.T, band, strict=True)]
+    )
+    heat = float(np.mean(np.sum(samples**2, axis=1)) / np.sum(arm.gravity(bench.start) ** 2))
+    return float(count) / (len(samples) * PERIOD), heat, quiet / 60.0, seconds / 60.0
 
 
-def _turns(values: Array, band: float) -> int:
-    """Return how often a signal changes its direction by more than `band`."""
-    turns, direction, extreme = 0, 0.0, values[0]
+def _reversals(values: Array, band: float) -> int:
+    """Count the reversals of a signal that are larger than `band`."""
+    reversals, direction, extreme = 0, 0.0, values[0]
     for value in values:
         if direction * (value - extreme) > 0.0:
             extreme = value
         elif abs(value - extreme) > band:
-            turns += direction != 0.0
+            reversals += direction != 0.0
             direction, extreme = np.sign(value - extreme), value
-    return turns
+    return reversals
 
 
 @dataclass(frozen=True, kw_only=True)
 class Bound:
-    """Force of a hand at the start of a drag before a position servo without dither notices it.
+    """Force that a hand needs before a position servo without dither can react.
 
     Attributes:
         moves: Force that moves one joint against its static friction [N].
@@ -478,12 +480,12 @@ def bound(case: Case) -> Bound:
     row = "xyz".index(str(bench.hand.axis))
     lever = jacobian[row] + np.cross(jacobian[3:].T, point)[:, row]
     forces = np.linspace(0.0, 50.0, 5001)
-    pushed, motor = forces[:, None] * lever, arm.gravity(bench.start)
+    push_torque, motor = forces[:, None] * lever, arm.gravity(bench.start)
     if case.friction is None:
-        still = np.broadcast_to(np.asarray(servos(case.arm).friction), pushed.shape)
+        static_friction = np.broadcast_to(np.asarray(servos(case.arm).friction), push_torque.shape)
     else:
-        still = case.true_friction(case.friction).largest(motor, pushed - motor, 0.0)
-    moves = np.abs(pushed) > still
+        static_friction = case.true_friction(case.friction).largest(motor, push_torque - motor, 0.0)
+    moves = np.abs(push_torque) > static_friction
     begin = int(np.argmax(moves.any(axis=1)))
     first = int(np.argmax(moves[begin]))
     stiffness = float(np.broadcast_to(np.asarray(servos(case.arm).kp), (arm.n,))[first])
@@ -504,11 +506,11 @@ def text(rows: Mapping[Row, Sequence[Result]]) -> str:
             " / ".join(f"{getattr(result, name):.{digits}f}" for result in results)
             for name, digits in (("drag", 1), ("door", 1), ("angle", 0))
         ]
-        quiet, rested = min((result.quiet, result.rested) for result in results)
+        quiet, time_limit = min((result.quiet, result.rested) for result in results)
         price = (
             f"{max(result.reversals for result in results):.0f}",
             f"{max(result.heat for result in results):.2f}",
-            f"{'' if quiet < rested - 1e-9 else '≥ '}{quiet:.2g}",
+            f"{'' if quiet < time_limit - 1e-9 else '≥ '}{quiet:.2g}",
         )
         lines.append((*row, *figures, *price))
     return program.markdown((*columns, "reversals [1/s]", "heat [1]", "quiet [min]"), lines)
@@ -544,16 +546,16 @@ def main(
                 keys = rows.setdefault((label, name, delay), [])
                 for factor in factors:
                     keys.append(f"{label}|{name}|{delay}|{factor}")
-                    under = replace(case, friction=factor)
-                    work.append(Job(keys[-1], measure, (under, key, minutes)))
-    found = run_by_key(work, jobs, "gears")
-    print(text({row: [found[key] for key in keys] for row, keys in rows.items()}))
+                    scaled_case = replace(case, friction=factor)
+                    work.append(Job(keys[-1], measure, (scaled_case, key, minutes)))
+    results = run_by_key(work, jobs, "gears")
+    print(text({row: [results[key] for key in keys] for row, keys in rows.items()}))
     for name in arm or tuple(BENCHES):
         for kind, friction in (("real", 1.0), ("ideal", None)):
-            least = bound(Case(arm=name, friction=friction, encoder_step=step))
+            smallest = bound(Case(arm=name, friction=friction, encoder_step=step))
             print(
-                f"{name}, {kind} gears: a joint moves at {least.moves:.2f} N of the hand, and "
-                f"{least.counts:.2f} N more turn it by a count"
+                f"{name}, {kind} gears: a joint moves at {smallest.moves:.2f} N of the hand, and "
+                f"{smallest.counts:.2f} N more turn it by a count"
             )
 
 

@@ -38,45 +38,49 @@ def hold(conditions: Conditions) -> Figures:
     return {"error [mm]": 1e3 * disturbances.idle(law, conditions=conditions).error}
 
 
-def dragged(law: disturbances.Law, hand: Drag) -> Measure:
-    """Return a function that measures a hand which drags the arm along soft y.
+def measure_drag(law: disturbances.Law, hand: Drag) -> Measure:
+    """Return a function that measures force and drift while a hand drags the arm along soft y.
 
-    It returns the largest force of the hand and the drift of the other positions.
+    The function returns the largest force of the hand and the drift of the other positions.
     """
 
     def measure(conditions: Conditions) -> Figures:
-        seen = disturbances.drag(law, hand, conditions=conditions)
-        return {"force [N]": seen.force, "drift [mm]": 1e3 * seen.drift}
+        result = disturbances.drag(law, hand, conditions=conditions)
+        return {"force [N]": result.force, "drift [mm]": 1e3 * result.drift}
 
     return measure
 
 
-def capped(conditions: Conditions) -> Figures:
+def hold_strong_hand(conditions: Conditions) -> Figures:
     """Measure soft y with a cap of 15 N, along which a hand of at most 80 N drags the tool.
 
     Return the force of the resting hand, the drift of the other positions, and the distance of y
     from its start 4 s after the release.
     """
-    seen = disturbances.drag(controllers.cap(eta=0.0), DRAG_80N, conditions=conditions)
-    left = 1e3 * seen.end
-    return {"held [N]": abs(seen.held), "drift [mm]": 1e3 * seen.drift, "left after 4 s [mm]": left}
+    result = disturbances.drag(controllers.cap(eta=0.0), DRAG_80N, conditions=conditions)
+    error = 1e3 * result.end
+    return {
+        "held [N]": abs(result.held),
+        "drift [mm]": 1e3 * result.drift,
+        "left after 4 s [mm]": error,
+    }
 
 
-def kept(conditions: Conditions) -> Figures:
+def count_kept_caps(conditions: Conditions) -> Figures:
     """Return the share of kept caps (`CapResult.kept`), in all poses and in those clear of stops.
 
     200 random poses are measured under `NOMINAL` conditions, and 20 under all others.
     """
     poses = 200 if conditions == NOMINAL else 20
     runs = [
-        (case, cap_accuracy.keep(case, guided=guided, conditions=conditions).kept)
+        (case, cap_accuracy.keep(case, guided=is_guided, conditions=conditions).kept)
         for case in cap_accuracy.cases(poses)
-        for guided in (False, True)
+        for is_guided in (False, True)
     ]
-    clear = [kept for case, kept in runs if case.clear]
+    clear_kept = [is_kept for case, is_kept in runs if case.clear]
     return {
-        "kept, all poses [%]": 100.0 * float(np.mean([kept for _, kept in runs])),
-        "kept, joints clear of stops [%]": 100.0 * float(np.mean(clear)),
+        "kept, all poses [%]": 100.0 * float(np.mean([is_kept for _, is_kept in runs])),
+        "kept, joints clear of stops [%]": 100.0 * float(np.mean(clear_kept)),
     }
 
 
@@ -85,25 +89,25 @@ def yaw(conditions: Conditions) -> Figures:
 
     Return its largest torque, the largest displacement of the tool, and how far yaw moves back.
     """
-    seen = disturbances.drag(controllers.cap(soft="yaw"), TWIST_3NM, conditions=conditions)
+    result = disturbances.drag(controllers.cap(soft="yaw"), TWIST_3NM, conditions=conditions)
     return {
-        "torque [N·m]": seen.force,
-        "position [mm]": 1e3 * seen.position,
-        "leaves its place [rad]": seen.stays,
+        "torque [N·m]": result.force,
+        "position [mm]": 1e3 * result.position,
+        "leaves its place [rad]": result.stays,
     }
 
 
 def sinusoids(law: Callable[..., disturbances.Law]) -> Measure:
-    """Return a function that measures sinusoidal tracking by each axis in turn, which is then soft.
+    """Return a function that measures sinusoidal tracking along each axis, with this axis soft.
 
-    It returns the worst results over the axes.
+    The function returns the worst results over the axes.
     """
 
     def measure(conditions: Conditions) -> Figures:
-        seen = [tracking.track(law(soft=a, eta=0.0), a, conditions=conditions) for a in AXES]
+        result = [tracking.track(law(soft=a, eta=0.0), a, conditions=conditions) for a in AXES]
         return {
-            "rms / amplitude": max(one.share for one in seen),
-            "other positions [mm]": 1e3 * max(one.position for one in seen),
+            "rms / amplitude": max(run.share for run in result),
+            "other positions [mm]": 1e3 * max(run.position for run in result),
         }
 
     return measure
@@ -112,35 +116,37 @@ def sinusoids(law: Callable[..., disturbances.Law]) -> Measure:
 def door(scene: str, law: Callable[..., disturbances.Law] = controllers.cap) -> Measure:
     """Return a function that measures how the arm opens a rigidly gripped door.
 
-    It returns the largest opening and the largest force at the handle.
+    The function returns the largest opening and the largest force at the handle.
     """
 
     def measure(conditions: Conditions) -> Figures:
-        seen = doors.open_door(law, scene, "rigid", conditions=conditions)
-        return {"angle [deg]": seen.angle, "force [N]": seen.force}
+        result = doors.open_door(law, scene, "rigid", conditions=conditions)
+        return {"angle [deg]": result.angle, "force [N]": result.force}
 
     return measure
 
 
 def bumps(conditions: Conditions) -> Figures:
-    """Measure 18 motions into walls; return the worst results.
+    """Measure 18 motions into walls.
 
-    They are the largest excess of the impact force over its bound, and the largest force later than
+    Return the largest excess of an impact force over its bound, and the largest force later than
     0.3 s after the contact.
     """
-    seen = [
-        disturbances.bump(controllers.cap, way, speed=speed, stiffness=k, conditions=conditions)
-        for way in disturbances.DIRECTIONS
+    results = [
+        disturbances.bump(
+            controllers.cap, direction, speed=speed, stiffness=k, conditions=conditions
+        )
+        for direction in disturbances.DIRECTIONS
         for k in disturbances.STIFFNESSES
         for speed in disturbances.SPEEDS
     ]
     return {
-        "peak beyond cap + v√(km) [N]": max(one.peak - one.allowed for one in seen),
-        "after 0.3 s [N]": max(one.later for one in seen),
+        "peak beyond cap + v√(km) [N]": max(result.peak - result.allowed for result in results),
+        "after 0.3 s [N]": max(result.later for result in results),
     }
 
 
-def dead(conditions: Conditions) -> Figures:
+def after_host_loss(conditions: Conditions) -> Figures:
     """Measure a hand that moves the tool after a host loss; return its largest force.
 
     The force is the largest of four directions of the hand.
@@ -157,7 +163,7 @@ def dead(conditions: Conditions) -> Figures:
 # --- Table of the goals ---
 
 #: Conditions with a delay of one tick each way and errors of friction and damping.
-UNCERTAIN = tuple(Conditions(delay=(1, 1), believed=share) for share in (0.7, 1.0, 1.3))
+UNCERTAIN = tuple(Conditions(delay=(1, 1), assumed_ratio=share) for share in (0.7, 1.0, 1.3))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -255,10 +261,10 @@ class _Entry:
 
 
 def _worst(values: list[float], goal: Goal) -> float:
-    """Return the worst of some values: that which exceeds a bound of the goal most.
+    """Return the value that exceeds a bound of the goal most.
 
-    If all values are inside, it is the one nearest to a bound; for a goal without bounds, it is the
-    largest value.
+    If all values lie within the bounds, return the value nearest to a bound; for a goal without
+    bounds, return the largest value.
     """
     if np.isinf(goal.low) and np.isinf(goal.high):
         return max(values)
@@ -282,25 +288,25 @@ _ENTRIES = (
     _Entry(
         scenario="strong hand, η 0.999",
         preset="cap()",
-        measure=dragged(controllers.cap(), DRAG_80N),
+        measure=measure_drag(controllers.cap(), DRAG_80N),
         goals={"force [N]": _most(4.5, 5.5), "drift [mm]": _most(2.5, 3.0)},
     ),
     _Entry(
         scenario="strong hand, η 0.999",
         preset="cap(tracking.gain=6.0)",
-        measure=dragged(controllers.cap(tracking=Tracking(gain=6.0)), DRAG_80N),
+        measure=measure_drag(controllers.cap(tracking=Tracking(gain=6.0)), DRAG_80N),
         goals={"drift [mm]": _most(2.0)},
     ),
     _Entry(
         scenario="strong hand, η 0.999",
         preset='cap(follow="hold")',
-        measure=dragged(controllers.cap(paper_options=PaperOptions(follow="hold")), DRAG_80N),
+        measure=measure_drag(controllers.cap(paper_options=PaperOptions(follow="hold")), DRAG_80N),
         goals={"drift [mm]": _most(2.0)},
     ),
     _Entry(
         scenario="15 N hand, η 0.999",
         preset="cap()",
-        measure=dragged(controllers.cap(), DRAG_15N),
+        measure=measure_drag(controllers.cap(), DRAG_15N),
         goals={"force [N]": _most(5.6, 7.5), "drift [mm]": (Goal(high=2.3), _FREE)},
     ),
     # A gain K_x of 4.8/s (default: 4/s) serves the goals with delay and errors. With overestimated
@@ -310,7 +316,7 @@ _ENTRIES = (
     _Entry(
         scenario="15 N hand, η 0.999",
         preset="cap(tracking.gain=4.8)",
-        measure=dragged(controllers.cap(tracking=Tracking(gain=4.8)), DRAG_15N),
+        measure=measure_drag(controllers.cap(tracking=Tracking(gain=4.8)), DRAG_15N),
         goals={
             "force [N]": (_FREE, Goal(high=7.5)),
             "drift [mm]": (_FREE, Goal(high=4.0)),
@@ -319,13 +325,13 @@ _ENTRIES = (
     _Entry(
         scenario="15 N hand",
         preset="impedance()",
-        measure=dragged(controllers.impedance(), DRAG_15N),
+        measure=measure_drag(controllers.impedance(), DRAG_15N),
         goals={"force [N]": (Goal(high=5.6), _FREE), "drift [mm]": (_FREE, _FREE)},
     ),
     _Entry(
         scenario="strong hand, η 0, cap 15 N",
         preset="cap(eta=0.0)",
-        measure=capped,
+        measure=hold_strong_hand,
         goals={
             "held [N]": (Goal(low=14.0, high=16.0), Goal(low=14.0, high=16.0)),
             "drift [mm]": _most(3.0, 3.0),
@@ -335,7 +341,7 @@ _ENTRIES = (
     _Entry(
         scenario="promised cap, random poses",
         preset="Axis(soft=F, firm=F)",
-        measure=kept,
+        measure=count_kept_caps,
         goals={
             "kept, all poses [%]": (Goal(low=97.0), Goal(low=95.0)),
             "kept, joints clear of stops [%]": (Goal(low=97.0), Goal(low=95.0)),
@@ -405,7 +411,7 @@ _ENTRIES = (
     _Entry(
         scenario="host dead, then a hand",
         preset="cap(eta=0.0)",
-        measure=dead,
+        measure=after_host_loss,
         goals={"force [N]": (Goal(high=13.0), _FREE)},
     ),
 )
@@ -454,19 +460,19 @@ def text(rows: list[Row]) -> str:
 
 #: Compared control rates [Hz], delays of readings and of commands [ticks], and ratios of assumed to
 #: true friction and damping.
-RATES, TICKS, BELIEVED = (100.0, 200.0), (0, 1), (0.7, 1.0, 1.3)
+RATES, TICKS, ASSUMED_RATIOS = (100.0, 200.0), (0, 1), (0.7, 1.0, 1.3)
 RATE_SCENES = {
-    "15 N hand, η 0.999": dragged(controllers.cap(), DRAG_15N),
+    "15 N hand, η 0.999": measure_drag(controllers.cap(), DRAG_15N),
     "door, rigid grip, `cap`": door("door"),
     "door, rigid grip, `impedance`": door("door", controllers.impedance),
 }
 
 
 def rate_conditions() -> list[Conditions]:
-    """Return the conditions for all combinations of `RATES`, `TICKS` and `BELIEVED`."""
+    """Return the conditions for all combinations of `RATES`, `TICKS` and `ASSUMED_RATIOS`."""
     return [
-        Conditions(rate=rate, delay=(ticks, ticks), believed=believed)
-        for rate, ticks, believed in product(RATES, TICKS, BELIEVED)
+        Conditions(rate=rate, delay=(ticks, ticks), assumed_ratio=assumed_ratio)
+        for rate, ticks, assumed_ratio in product(RATES, TICKS, ASSUMED_RATIOS)
     ]
 
 
@@ -475,29 +481,30 @@ def rates_text(only: str = "") -> str:
 
     Its columns are the conditions of `rate_conditions`.
     """
-    under = rate_conditions()
+    conditions = rate_conditions()
     names = [
-        f"{one.rate:g} Hz{', 1+1' if one.delay[0] else ''}, × {one.believed:g}" for one in under
+        f"{each.rate:g} Hz{', 1+1' if each.delay[0] else ''}, × {each.assumed_ratio:g}"
+        for each in conditions
     ]
     measures = {scene: measure for scene, measure in RATE_SCENES.items() if only in scene}
-    return comparison(measures, dict(zip(names, under, strict=True)))
+    return comparison(measures, dict(zip(names, conditions, strict=True)))
 
 
-def comparison(measures: Mapping[str, Measure], under: Mapping[str, Conditions]) -> str:
+def comparison(measures: Mapping[str, Measure], conditions: Mapping[str, Conditions]) -> str:
     """Measure every experiment under all conditions; return a Markdown table.
 
     Args:
         measures: Measuring functions by the name of the experiment.
-        under: Conditions by the heading of their column.
+        conditions: Conditions by the heading of their column.
 
     Returns:
         Table with one row for each number of an experiment.
     """
     rows: list[tuple[str, ...]] = []
     for scene, measure in measures.items():
-        found = [measure(one) for one in under.values()]
-        rows += [(scene, name, *(f"{one[name]:.3g}" for one in found)) for name in found[0]]
-    return program.markdown(("scene", "figure", *under), rows)
+        figures = [measure(item) for item in conditions.values()]
+        rows += [(scene, name, *(f"{item[name]:.3g}" for item in figures)) for name in figures[0]]
+    return program.markdown(("scene", "figure", *conditions), rows)
 
 
 def main(only: Annotated[str, tyro.conf.Positional] = "", creep: float = 1.0) -> None:

@@ -66,14 +66,14 @@ def try_capture(
     axes = {"y": pliant.Axis(yields="both", adaptation=eta)}
     settings = pliant.Settings(task=" ".join(arm.axes), axes=axes, accept_high_adaptation=True)
     controller = pliant.Controller(arm.model, settings, table)
-    found = identify.capture_gravity(plant, controller)
-    if found.remedy is not None:
-        controller.update(found.remedy)
-    place, later = plant.tool[:3, 3], 0.0
+    capture = identify.capture_gravity(plant, controller)
+    if capture.remedy is not None:
+        controller.update(capture.remedy)
+    position, motion = plant.tool[:3, 3], 0.0
     target = arm.model.forward_kinematics(plant.read().q)
     for _ in closed_loop(plant, controller, target, AFTER):
-        later = max(later, float(np.linalg.norm(plant.tool[:3, 3] - place)))
-    return CaptureResult(found.stays, found.remedy is not None, later)
+        motion = max(motion, float(np.linalg.norm(plant.tool[:3, 3] - position)))
+    return CaptureResult(capture.stays, capture.remedy is not None, motion)
 
 
 def main(
@@ -103,10 +103,12 @@ def main(
     rows = []
     for name, kp in cases:
         runs = [outcomes[f"{name} {kp} {pose}"] for pose in range(poses)]
-        stay, remedied = (float(np.mean([getattr(run, key) for run in runs])) for key in KINDS)
+        stay_share, remedied = (
+            float(np.mean([getattr(run, key) for run in runs])) for key in KINDS
+        )
         true = [run.later < 5e-3 for run in runs if run.stays or run.remedied]
-        neither = max(1.0 - stay - remedied, 0.0)
-        shares = (stay, remedied, neither, float(np.mean(true)) if true else np.nan)
+        neither = max(1.0 - stay_share - remedied, 0.0)
+        shares = (stay_share, remedied, neither, float(np.mean(true)) if true else np.nan)
         rows.append((name, f"{kp:g}", *(f"{100.0 * x:.0f}" for x in shares)))
     columns = (
         "arm",

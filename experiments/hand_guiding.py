@@ -67,9 +67,9 @@ def guide(
     """
     arm = load(name)
     q = arm.poses(pose + 1)[pose]
-    way = DISTANCES.get(name, 0.05)
+    distance = DISTANCES.get(name, 0.05)
     course = ForceProfile(start=HAND_START, rise=HAND_END - HAND_START, end=RELEASE)
-    hand = Drag(axis="y", distance=way, stiffness=2000.0, limit=60.0, at="tool", course=course)
+    hand = Drag(axis="y", distance=distance, stiffness=2000.0, limit=60.0, at="tool", course=course)
     table = arm.servos.replace(encoder_step=COUNT, stiffness_known=known)
     plant = Plant(
         arm.model,
@@ -92,18 +92,18 @@ def guide(
         force = float(np.linalg.norm(plant.hands[0].force))
         rows.append((plant.time, *plant.tool[:3, 3], force))
     data = np.array(rows)
-    time, place, forces = data[:, 0], data[:, 1:4], data[:, 4]
+    time, position, forces = data[:, 0], data[:, 1:4], data[:, 4]
 
     def farthest(start: float, seconds: float, origin: float) -> float:
         window = (time > start) & (time <= start + seconds)
         return float(
-            np.linalg.norm(place[window] - place[np.searchsorted(time, origin)], axis=1).max()
+            np.linalg.norm(position[window] - position[np.searchsorted(time, origin)], axis=1).max()
         )
 
-    leading = (time > HAND_START + 0.5) & (time <= HAND_END)
+    is_leading = (time > HAND_START + 0.5) & (time <= HAND_END)
     return GuidingResult(
         idle=farthest(ready, 10.0, ready),
-        force=float(np.median(forces[leading])),
+        force=float(np.median(forces[is_leading])),
         led=farthest(HAND_START, RELEASE - HAND_START, HAND_START),
         sag=farthest(RELEASE, 10.0, RELEASE),
         later=farthest(RELEASE + 1.0, 9.0, RELEASE + 1.0),

@@ -1,4 +1,4 @@
-"""Force on a hand after a host loss, against its prediction: ``python -m experiments.host_loss``.
+"""Force on a hand after a host loss, and its prediction: ``python -m experiments.host_loss``.
 
 In random poses an arm follows a moving target; in half of the poses a hand pushes the soft axis.
 Then the host is lost: the servos keep their last goals and torque limits. A hand drags the tool
@@ -56,9 +56,9 @@ class HostLossPush:
         pose: Index among the arm's poses.
         axis: Name of the dragged axis.
         sign: Direction of the drag, 1 or -1.
-        leaned: True if a hand pushed the arm along the soft axis before the host loss.
-        said: `AxisReport.host_loss_force`, as reported after the last step [N or N·m].
-        felt: Largest measured force on the hand [N or N·m].
+        is_pushed: True if a hand pushed the arm along the soft axis before the host loss.
+        reported: `AxisReport.host_loss_force`, as reported after the last step [N or N·m].
+        measured: Largest measured force on the hand [N or N·m].
         at: Distance by which the tool had moved at the largest force [m or rad].
         hand: Force at which the hand ends the drag [N or N·m].
     """
@@ -67,26 +67,26 @@ class HostLossPush:
     pose: int
     axis: str
     sign: float
-    leaned: bool
-    said: float
-    felt: float
+    is_pushed: bool
+    reported: float
+    measured: float
     at: float
     hand: float
 
     @property
-    def walled(self) -> bool:
+    def is_limited(self) -> bool:
         """True if both measured and reported force reach the force `hand`, which ends the drag."""
-        return self.felt >= self.hand and self.said >= self.hand
+        return self.measured >= self.hand and self.reported >= self.hand
 
     @property
     def ratio(self) -> float:
         """Ratio of measured to reported force."""
-        return self.felt / self.said
+        return self.measured / self.reported
 
     @property
     def above(self) -> float:
         """Measured minus reported force [N or N·m]."""
-        return self.felt - self.said
+        return self.measured - self.reported
 
     @property
     def allowed(self) -> bool:
@@ -95,7 +95,7 @@ class HostLossPush:
 
 
 class Bench:
-    """Simulated arm, hand and controller; reused for all poses of the arm."""
+    """Simulated arm, hand and controller, for any pose of the arm."""
 
     def __init__(self, arm: Arm, settings: pliant.Settings | None = None) -> None:
         """Build simulated arm, hand and controller.
@@ -126,30 +126,30 @@ class Bench:
             axis: Name of the dragged axis.
             sign: Direction of the drag, 1 or -1.
         """
-        leans = bool(pose % 2)
-        report = self._work(pose, leans=leans)
+        is_pushed = bool(pose % 2)
+        report = self._work(pose, is_pushed=is_pushed)
         row, kind = AXES.index(axis), AXES.index(axis) // 3
         side = int(sign > 0.0)
-        felt, at = self.drag(row, sign * DRAG_DISTANCE[kind])
+        force, distance = self.drag(row, sign * DRAG_DISTANCE[kind])
         return HostLossPush(
             arm=self.arm.name,
             pose=pose,
             axis=axis,
             sign=sign,
-            leaned=leans,
-            said=report.axes[axis].host_loss_force[side],
-            felt=felt,
-            at=at,
+            is_pushed=is_pushed,
+            reported=report.axes[axis].host_loss_force[side],
+            measured=force,
+            at=distance,
             hand=self.hand[kind],
         )
 
-    def _work(self, pose: int, *, leans: bool) -> pliant.feasibility.PoseReport:
+    def _work(self, pose: int, *, is_pushed: bool) -> pliant.feasibility.PoseReport:
         """Follow a moving target until the host loss; return the report after the last step.
 
-        With `leans`, a hand pushes the soft axis meanwhile.
+        With `is_pushed`, a hand pushes the soft axis meanwhile.
         """
         rng = np.random.default_rng((pose, 7))
-        way, death, lean = (
+        motion, loss_time, push_distance = (
             rng.standard_normal(3),
             rng.uniform(*MOTION_TIME),
             rng.choice((-PUSH_DISTANCE, PUSH_DISTANCE)),
@@ -159,24 +159,24 @@ class Bench:
         plant.reset(q)
         controller.reset(q)
         soft = AXES.index(self.soft)
-        grip.hold([soft] if leans else [])
+        grip.hold([soft] if is_pushed else [])
         target = plant.tool
 
         def work(now: float, plant: Plant) -> None:
-            target[:3, 3] += SPEED * plant.period * way / np.linalg.norm(way)
-            grip.move(soft, lean / death if leans else 0.0)
+            target[:3, 3] += SPEED * plant.period * motion / np.linalg.norm(motion)
+            grip.move(soft, push_distance / loss_time if is_pushed else 0.0)
 
         goal = target if any(row > 2 for row in self.arm.rows) else target[:3, 3]
-        for _ in closed_loop(plant, controller, goal, death, on_tick=work):
+        for _ in closed_loop(plant, controller, goal, loss_time, on_tick=work):
             pass
         return controller.report()
 
-    def drag(self, row: int, way: float) -> tuple[float, float]:
+    def drag(self, row: int, distance: float) -> tuple[float, float]:
         """Drag the tool along one axis, with constant goals and torque limits of the servos.
 
         Args:
             row: Index of the axis among x, y, z, roll, pitch, yaw.
-            way: Signed distance [m or rad].
+            distance: Signed distance [m or rad].
 
         Returns:
             Largest force of the hand [N or N·m], and the distance by which the tool had moved when
@@ -187,18 +187,18 @@ class Bench:
         plant.advance(round(WAIT_AFTER_LOSS / plant.dt))
         grip.place(plant)
         grip.hold([row])
-        most, at, gone, start = -np.inf, 0.0, 0.0, plant.tool
-        while abs(gone) < abs(way) and most < self.hand[row // 3]:
-            # The hand's spring stretches, so the hand moves on until the tool has covered `way`.
-            grip.move(row, way / DRAG_TIME)
+        largest, displacement, moved, start = -np.inf, 0.0, 0.0, plant.tool
+        while abs(moved) < abs(distance) and largest < self.hand[row // 3]:
+            # The spring of the hand stretches: move until the tool has covered `distance`.
+            grip.move(row, distance / DRAG_TIME)
             plant.advance()
-            gone = float(pliant.functional.pose_error(start, plant.tool)[row])
-            force = float(np.sign(way)) * grip.force(row)
-            if force > most:
-                most, at = force, abs(gone)
+            moved = float(pliant.functional.pose_error(start, plant.tool)[row])
+            force = float(np.sign(distance)) * grip.force(row)
+            if force > largest:
+                largest, displacement = force, abs(moved)
             if plant.time > 4.0 * DRAG_TIME:
                 break
-        return most, at
+        return largest, displacement
 
 
 @lru_cache(maxsize=2)
@@ -218,25 +218,25 @@ class Job:
         return _bench(self.arm).pushes(self.pose)
 
 
-def text(found: Sequence[HostLossPush]) -> str:
+def text(pushes: Sequence[HostLossPush]) -> str:
     """Return a Markdown table per arm, with separate rows for translations and rotations."""
     columns = ("arm", "pushes", "walled", "felt/said: 5th %", "median", "95th %", "most")
     rows = []
-    for arm in dict.fromkeys(one.arm for one in found):
+    for arm in dict.fromkeys(push.arm for push in pushes):
         for kind, unit in enumerate(("N", "N·m")):
-            every = [m for m in found if m.arm == arm and AXES.index(m.axis) // 3 == kind]
-            if not every:
+            selected = [m for m in pushes if m.arm == arm and AXES.index(m.axis) // 3 == kind]
+            if not selected:
                 continue
-            seen = [m for m in every if not m.walled]
-            low, middle, high = np.quantile([m.ratio for m in seen], (0.05, 0.5, 0.95))
-            above, walled = [m.above for m in seen], len(every) - len(seen)
-            ratios = (low, middle, high, max(m.ratio for m in seen))
-            beyond = (np.quantile(above, 0.95), max(above))
-            cells = [*(f"{one:.2f}" for one in ratios), *(f"{one:+.2f}" for one in beyond)]
-            allowed = f"{100 * np.mean([m.allowed for m in seen]):.1f}"
-            rows.append((f"{arm}, {unit}", len(every), walled, *cells, allowed))
-    more = ("felt − said: 95th %", "most", "within the allowance %")
-    return program.markdown((*columns, *more), rows)
+            not_walled = [m for m in selected if not m.is_limited]
+            low, middle, high = np.quantile([m.ratio for m in not_walled], (0.05, 0.5, 0.95))
+            above, walled = [m.above for m in not_walled], len(selected) - len(not_walled)
+            ratios = (low, middle, high, max(m.ratio for m in not_walled))
+            excess = (np.quantile(above, 0.95), max(above))
+            cells = [*(f"{push:.2f}" for push in ratios), *(f"{push:+.2f}" for push in excess)]
+            share = f"{100 * np.mean([m.allowed for m in not_walled]):.1f}"
+            rows.append((f"{arm}, {unit}", len(selected), walled, *cells, share))
+    last_columns = ("felt − said: 95th %", "most", "within the allowance %")
+    return program.markdown((*columns, *last_columns), rows)
 
 
 def main(
@@ -255,10 +255,10 @@ def main(
         for name in arm or robots.names()
         for pose in range(poses if name == "arm7" else -(-poses * OTHER_POSES // POSES))
     ]
-    found = [push for one in run_jobs(work, jobs, "host loss") for push in one]
-    print(text(found))
+    pushes = [push for result in run_jobs(work, jobs, "host loss") for push in result]
+    print(text(pushes))
     if out is not None:
-        program.write_results(out, {"pushes": [asdict(push) for push in found]})
+        program.write_results(out, {"pushes": [asdict(push) for push in pushes]})
 
 
 if __name__ == "__main__":

@@ -133,9 +133,9 @@ def identify_arm(
     """
     body = plant(arm, case, rate)
     model = robots.load(arm)
-    table = believed(model)
-    found = identify.identify_servos(body, model, table, span=span)
-    gains, servos = body.gains, found.servos
+    table = initial_table(model)
+    result = identify.identify_servos(body, model, table, span=span)
+    gains, servos = body.gains, result.servos
     gravity = np.asarray(model.gravity(STARTS[arm]))
     lift = CASES[case].get("lift", 0.0) * LIFTS[arm]
     friction = gains.friction
@@ -143,27 +143,27 @@ def identify_arm(
         friction = np.asarray(GEARS[arm].at_rest(gravity))
     emf = gains.torque / np.asarray(servos.no_load_speed) if table.limit_type == "pwm" else 0.0
     damping = (servos.damping + servos.kv + emf) / (gains.damping + gains.kv)
-    load = found.payload
+    load = result.payload
     centre = np.linalg.norm(load.com - CENTRE) if lift and load.found else np.nan
     return IdentificationErrors(
         arm=arm,
         case=case,
         kp=servos.kp / gains.kp,
-        friction=found.friction / friction,
+        friction=result.friction / friction,
         damping=damping,
-        kp_bars=(servos.kp - gains.kp) / found.sigma["kp"],
+        kp_bars=(servos.kp - gains.kp) / result.sigma["kp"],
         loaded=np.abs(gravity) > 3.0 * gains.friction,
-        delay=found.delay - sum(CASES[case].get("delay", (0, 0))) / rate,
+        delay=result.delay - sum(CASES[case].get("delay", (0, 0))) / rate,
         mass=load.mass - lift,
         mass_bars=(load.moments[0] - lift) / load.mass_sigma,
         centre=float(centre),
-        spread=found.residual_ratio,
+        spread=result.residual_ratio,
         seconds=body.time,
-        found=found,
+        found=result,
     )
 
 
-def believed(model: pliant.Model) -> pliant.Servos:
+def initial_table(model: pliant.Model) -> pliant.Servos:
     """Return the initial servo table of an identification, in which k_p is not known."""
     if model.servos is None:
         raise pliant.ConfigError(f"{model.name} has no servos")
@@ -208,8 +208,8 @@ def rows(span: float = 0.4) -> list[tuple[str, dict[str, float]]]:
     delay, options = (1, 1), {**WRONG, "encoder_step": COUNT}
     body = Plant(robots.arm7(), delay=delay, **options)
     body.reset(STARTS["arm7"])
-    table = believed(robots.arm7())
-    found = identify.identify_servos(body, robots.arm7(), table, span=span)
+    table = initial_table(robots.arm7())
+    result = identify.identify_servos(body, robots.arm7(), table, span=span)
     gains = body.gains
     true = table.replace(
         kp=gains.kp,
@@ -220,12 +220,12 @@ def rows(span: float = 0.4) -> list[tuple[str, dict[str, float]]]:
     )
     beliefs = {
         "the table, wrong": (table, 0.0),
-        "identified": (found.servos, found.delay),
+        "identified": (result.servos, result.delay),
         "known exactly": (true, sum(delay) / 100.0),
     }
     measures = {
-        "15 N hand": goals.dragged(controllers.cap(), DRAG_15N),
-        "strong hand": goals.dragged(controllers.cap(), DRAG_80N),
+        "15 N hand": goals.measure_drag(controllers.cap(), DRAG_15N),
+        "strong hand": goals.measure_drag(controllers.cap(), DRAG_80N),
         "door": goals.door("door"),
     }
     out = []
@@ -240,26 +240,26 @@ def rows(span: float = 0.4) -> list[tuple[str, dict[str, float]]]:
     return out
 
 
-def line(one: IdentificationErrors) -> list[str]:
+def line(errors: IdentificationErrors) -> list[str]:
     """Return the errors of one identification as the cells of a table row, see `COLUMNS`."""
 
     def percent(values: Array) -> str:
-        off = 100.0 * np.abs(values - 1.0)
-        return f"{np.median(off):.1f} / {off.max():.1f}"
+        deviation = 100.0 * np.abs(values - 1.0)
+        return f"{np.median(deviation):.1f} / {deviation.max():.1f}"
 
     return [
-        one.arm,
-        one.case,
-        percent(one.kp[one.loaded]) if one.loaded.any() else "–",
-        percent(one.kp[~one.loaded]) if (~one.loaded).any() else "–",
-        percent(one.friction),
-        percent(one.damping),
-        f"{1e3 * one.delay:+.1f}",
-        f"{1e3 * one.mass:+.0f}",
-        "–" if np.isnan(one.centre) else f"{1e3 * one.centre:.0f}",
-        f"{100.0 * np.mean(np.abs(one.kp_bars) < 2.0):.0f}",
-        f"{one.spread:.1f}",
-        f"{one.seconds:.0f}",
+        errors.arm,
+        errors.case,
+        percent(errors.kp[errors.loaded]) if errors.loaded.any() else "–",
+        percent(errors.kp[~errors.loaded]) if (~errors.loaded).any() else "–",
+        percent(errors.friction),
+        percent(errors.damping),
+        f"{1e3 * errors.delay:+.1f}",
+        f"{1e3 * errors.mass:+.0f}",
+        "–" if np.isnan(errors.centre) else f"{1e3 * errors.centre:.0f}",
+        f"{100.0 * np.mean(np.abs(errors.kp_bars) < 2.0):.0f}",
+        f"{errors.spread:.1f}",
+        f"{errors.seconds:.0f}",
     ]
 
 

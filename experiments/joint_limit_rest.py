@@ -66,7 +66,7 @@ class Rest:
     turns: tuple[int, int]
 
 
-def beside(arm: Arm, pose: int) -> Array:
+def pose_near_limit(arm: Arm, pose: int) -> Array:
     """Return a random pose (n,) [rad] in which one joint is within `ROOM` of its position limit.
 
     The servos can hold the arm in the pose, and the pose is not near a singularity. `pose` is the
@@ -74,9 +74,9 @@ def beside(arm: Arm, pose: int) -> Array:
     """
     rng = np.random.default_rng((pose, 11))
     lower, upper = np.asarray(arm.model.lower), np.asarray(arm.model.upper)
-    good = arm.poses(len(arm.drawn))
+    candidates = arm.poses(len(arm.drawn))
     while True:
-        q: Array = good[rng.integers(len(good))].copy()
+        q: Array = candidates[rng.integers(len(candidates))].copy()
         joint, room = rng.integers(arm.model.n), rng.uniform(0.0, ROOM)
         q[joint] = lower[joint] + room if rng.random() < 0.5 else upper[joint] - room
         weakest = min(arm.capacity(q, row, sign) for row in arm.rows for sign in (1.0, -1.0))
@@ -114,7 +114,7 @@ class Job:
             **NO_RATE_LIMITS,
         )
         controller = pliant.Controller(arm.model, settings, arm.servos)
-        q = beside(arm, self.pose)
+        q = pose_near_limit(arm, self.pose)
         plant.reset(q)
         controller.reset(q)
         grip.place(plant)
@@ -129,11 +129,15 @@ class Job:
         end = RELEASE + OBSERVATION_STARTS[-1] + OBSERVATION_TIME
         loop = closed_loop(plant, controller, target, end, on_tick=push)
         angles = np.array([plant.q for _ in loop])
-        held = angles[round(RELEASE * plant.rate) - 1]
-        room = np.minimum(held - arm.model.lower, np.asarray(arm.model.upper) - held).min()
+        start_angles = angles[round(RELEASE * plant.rate) - 1]
+        room = np.minimum(
+            start_angles - arm.model.lower, np.asarray(arm.model.upper) - start_angles
+        ).min()
         windows = [
-            angles[round((RELEASE + look) * plant.rate) :][: round(OBSERVATION_TIME * plant.rate)]
-            for look in OBSERVATION_STARTS
+            angles[round((RELEASE + start_time) * plant.rate) :][
+                : round(OBSERVATION_TIME * plant.rate)
+            ]
+            for start_time in OBSERVATION_STARTS
         ]
         first, last = (float(np.ptp(window, axis=0).max()) for window in windows)
         return Rest(
@@ -143,11 +147,11 @@ class Job:
             pose=self.pose,
             room=float(room),
             moves=(first, last),
-            turns=(_turns(windows[0]), _turns(windows[1])),
+            turns=(_reversals(windows[0]), _reversals(windows[1])),
         )
 
 
-def _turns(angles: Array) -> int:
+def _reversals(angles: Array) -> int:
     """Return the largest number of reversals of a joint, from joint positions (N, n) [rad].
 
     Joints that move by less than 5 mrad do not count.
@@ -156,7 +160,7 @@ def _turns(angles: Array) -> int:
     return int((np.diff(np.sign(going), axis=0) != 0).sum(axis=0).max(initial=0))
 
 
-def text(found: Sequence[Rest]) -> str:
+def text(results: Sequence[Rest]) -> str:
     """Return a Markdown table with a row for each arm and case."""
     columns = (
         *("arm", "ticks each way", "η", "pushes", "at a stop meanwhile"),
@@ -164,14 +168,14 @@ def text(found: Sequence[Rest]) -> str:
         *("8 s after: median", "most [mrad]", "turns"),
     )
     rows = []
-    for key in dict.fromkeys((one.arm, one.ticks, one.eta) for one in found):
-        mine = [one for one in found if (one.arm, one.ticks, one.eta) == key]
-        cells = [key[0], str(key[1]), f"{key[2]:g}", str(len(mine))]
-        cells += [str(sum(one.room < ROOM for one in mine))]
+    for key in dict.fromkeys((result.arm, result.ticks, result.eta) for result in results):
+        group = [result for result in results if (result.arm, result.ticks, result.eta) == key]
+        cells = [key[0], str(key[1]), f"{key[2]:g}", str(len(group))]
+        cells += [str(sum(result.room < ROOM for result in group))]
         for i in range(len(OBSERVATION_STARTS)):
-            moves = [1e3 * one.moves[i] for one in mine]
+            moves = [1e3 * result.moves[i] for result in group]
             cells += [f"{np.median(moves):.1f}", f"{max(moves):.1f}"]
-            cells += [str(max(one.turns[i] for one in mine))]
+            cells += [str(max(result.turns[i] for result in group))]
         rows.append(cells)
     return program.markdown(columns, rows)
 

@@ -39,7 +39,7 @@ PATIENCE = 30.0
 
 
 @dataclass
-class Way:
+class Combination:
     """Combination of web page and log, with the lateness measured over all runs with it.
 
     Attributes:
@@ -69,7 +69,7 @@ class Way:
         }[self.page, self.log]
 
 
-class Timed:
+class TimedLink:
     """Link between a session and an optional web page, for a run of limited duration.
 
     It counts the snapshots, and sends the session a stop request after `ticks` ticks.
@@ -92,18 +92,18 @@ class Timed:
         """Return True if a snapshot is due; always False without a page."""
         return self._link is not None and self._link.due()
 
-    def send(self, word: Any) -> None:
+    def send(self, message: Any) -> None:
         """Send a message to the page, if there is one, and count it."""
         if self._link is not None:
             self.sent += 1
-            self._link.send(word)
+            self._link.send(message)
 
 
-def run(way: Way, link: Link | None, seconds: float, folder: Path) -> None:
+def run(combination: Combination, link: Link | None, seconds: float, folder: Path) -> None:
     """Control the arm for `seconds` with a combination, and add the lateness to its record.
 
     Args:
-        way: Combination of page and log.
+        combination: Combination of page and log.
         link: Link of the page; None without a page.
         seconds: Duration of the run [s].
         folder: Folder of the log.
@@ -114,19 +114,21 @@ def run(way: Way, link: Link | None, seconds: float, folder: Path) -> None:
         handle_signals=False,
         comm_timeout=PATIENCE,
     )
-    timed = Timed(link if way.page else None, round(seconds * RATE))
-    session = Session(source, cast("Link", timed), folder / "run.mcap" if way.log else None)
+    timed_link = TimedLink(link if combination.page else None, round(seconds * RATE))
+    session = Session(
+        source, cast("Link", timed_link), folder / "run.mcap" if combination.log else None
+    )
     session.run(1)
     assert session.loop is not None
-    way.late.counts += session.loop.lateness.counts
-    way.late.largest = max(way.late.largest, session.loop.lateness.largest)
-    way.missed += session.loop.missed
-    way.sent += timed.sent
-    way.seconds += (len(session.loop.lateness) + session.loop.missed) / RATE
+    combination.late.counts += session.loop.lateness.counts
+    combination.late.largest = max(combination.late.largest, session.loop.lateness.largest)
+    combination.missed += session.loop.missed
+    combination.sent += timed_link.sent
+    combination.seconds += (len(session.loop.lateness) + session.loop.missed) / RATE
 
 
 @contextlib.contextmanager
-def reading(link: Link) -> Iterator[None]:
+def client_reading(link: Link) -> Iterator[None]:
     """Return a context in which a client process reads all messages of the page of a link."""
     command = [sys.executable, "-m", "experiments.lateness", "--client", link.address]
     with subprocess.Popen(command) as process:
@@ -166,21 +168,27 @@ def main(*, seconds: float = 10.0, rounds: int = 3, client: str = "") -> None:
     if client:
         take_all(client)
         return
-    ways = [Way(page=page, log=log) for page, log in product((False, True), repeat=2)]
+    combinations = [
+        Combination(page=page, log=log) for page, log in product((False, True), repeat=2)
+    ]
     with tempfile.TemporaryDirectory() as name:
         for _ in range(rounds):
-            for way in ways:
-                if not way.page:
-                    run(way, None, seconds, Path(name))
+            for combination in combinations:
+                if not combination.page:
+                    run(combination, None, seconds, Path(name))
                     continue
-                with Link() as link, reading(link):
-                    run(way, link, seconds, Path(name))
+                with Link() as link, client_reading(link):
+                    run(combination, link, seconds, Path(name))
     columns = ("SO-101, 100 Hz", "ticks", "late 50 % [ms]", "99 %", "99.9 %", "missed")
     rows = []
-    for way in ways:
-        late = [f"{1e3 * way.late.percentile(share):.2f}" for share in (50.0, 99.0, 99.9)]
-        rate = f"{way.sent / way.seconds:.0f}"
-        rows.append((way.name, len(way.late), *late, way.missed, rate))
+    for combination in combinations:
+        latenesses = [
+            f"{1e3 * combination.late.percentile(share):.2f}" for share in (50.0, 99.0, 99.9)
+        ]
+        rate = f"{combination.sent / combination.seconds:.0f}"
+        rows.append(
+            (combination.name, len(combination.late), *latenesses, combination.missed, rate)
+        )
     print(program.markdown((*columns, "snapshots/s"), rows))
     print(f"load of the machine: {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors")
 

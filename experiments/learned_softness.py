@@ -1,14 +1,14 @@
-"""Learns to open doors of unknown radius and friction with little force: policy against constant.
+"""Comparison of a learned policy with a constant action: opening doors with little force.
 
     python -m experiments.learned_softness            three seeds of both searches, then the picture
     python -m experiments.learned_softness --draw     only the picture, from the last results
 
-CMA-ES searches two kinds of parameters with the same number of episodes, the same doors and the
-same start: a constant action (pull, sideways, turn, and the softness of y and yaw), and a policy
-whose action depends linearly on how far the tool has turned and on the felt force. The cost of an
-episode is the largest force in the grip [N] plus 100 N times the part of the 60° that is missing.
-After each few generations the mean of the search opens validation doors, which no search
-has seen; the best of these means opens the test doors once.
+The radius and friction of the doors are unknown. CMA-ES searches two kinds of parameters with the
+same number of episodes, the same doors and the same start: a constant action (pull, sideways, turn,
+and the softness of y and yaw), and a policy whose action depends linearly on the rotation of the
+tool and on the estimated force. The cost of an episode is the largest force in the grip [N] plus
+100 N times the missing share of an opening of 60°. Every few generations, the mean of the search
+is measured on validation doors; the best of these means is measured once on the test doors.
 """
 
 from __future__ import annotations
@@ -42,8 +42,9 @@ SEEDS = (1, 2, 3)
 STEPS = 120
 #: Cost of a door that stays closed [N].
 CLOSED = 100.0
-#: Entries of an action that are chosen: velocity along x and y, turn about z, softness of y, yaw.
-CHOSEN = (0, 1, 5, 6, 7)
+#: Indices of the searched entries of an action: velocity along x and y, rotation about z, softness
+#: of y and of yaw.
+SEARCHED = (0, 1, 5, 6, 7)
 #: Action at which both searches start, and its standard deviation.
 START, SPREAD = np.array([-0.8, 0.0, 0.0, -0.5, -0.5]), 0.3
 #: Number of features of the policy, with the constant 1.
@@ -51,12 +52,12 @@ FEATURES = 4
 
 
 def features(observation: dict[str, Array], first: dict[str, Array]) -> Array:
-    """Return the features (N, FEATURES): 1, turn about z since the start, felt force along x, y."""
-    now, start = observation["tool"], first["tool"]
-    (a, b, _, c, d, _), (e, f, _, g, h, _) = start[:, 3:].T, now[:, 3:].T
-    turn = np.arctan2(a * f - b * e + c * h - d * g, a * e + b * f + c * g + d * h)
+    """Return the features (N, FEATURES): 1, rotation about z from the start, force along x, y."""
+    current, start = observation["tool"], first["tool"]
+    (a, b, _, c, d, _), (e, f, _, g, h, _) = start[:, 3:].T, current[:, 3:].T
+    angle = np.arctan2(a * f - b * e + c * h - d * g, a * e + b * f + c * g + d * h)
     force = np.clip(observation["force"][:, :2] / 20.0, -1.0, 1.0)
-    return np.column_stack([np.ones(len(turn)), turn, force])
+    return np.column_stack([np.ones(len(angle)), angle, force])
 
 
 class Trial:
@@ -84,18 +85,18 @@ class Trial:
             seeds: Seed of each door; equal seeds are equal doors.
 
         Returns:
-            Costs [N], largest forces [N] and whether the door is open (N,).
+            Costs (N,) [N], largest forces (N,) [N], and True for open doors (N,).
         """
         observation, _ = self._envs.reset(seed=seeds)  # type: ignore[arg-type]
         first = observation
         actions = np.zeros(self._envs.action_space.shape or ())
-        peak, ended = np.zeros(len(seeds)), np.zeros(len(seeds), dtype=bool)
-        while not ended.all():
+        peak, has_ended = np.zeros(len(seeds)), np.zeros(len(seeds), dtype=bool)
+        while not has_ended.all():
             values = features(observation, first)[:, : gains.shape[2]]
-            actions[:, CHOSEN] = (gains @ values[:, :, None])[:, :, 0]
+            actions[:, SEARCHED] = (gains @ values[:, :, None])[:, :, 0]
             observation, _, terminated, truncated, info = self._envs.step(np.clip(actions, -1, 1))
-            peak = np.where(ended, peak, np.maximum(peak, info["force"]))
-            ended = terminated | truncated
+            peak = np.where(has_ended, peak, np.maximum(peak, info["force"]))
+            has_ended = terminated | truncated
         return peak + CLOSED * (1.0 - info["progress"]), peak, info["is_success"]
 
 
@@ -107,7 +108,7 @@ def search(kind: str, seed: int) -> list[dict[str, Any]]:
         seed: Seed of the search and of its doors.
     """
     count = 1 if kind == "constant" else FEATURES
-    mean = np.zeros((len(CHOSEN), count))
+    mean = np.zeros((len(SEARCHED), count))
     mean[:, 0] = START
     optimizer = CMA(mean=mean.ravel(), sigma=SPREAD, population_size=CANDIDATES, seed=seed)
     trial, validation = Trial(CANDIDATES * DOORS), Trial(len(VALIDATION))
@@ -115,21 +116,21 @@ def search(kind: str, seed: int) -> list[dict[str, Any]]:
     start = time.process_time()
     for generation in range(GENERATIONS + 1):
         if generation % MEASURE_EVERY == 0:
-            one = measure(validation, optimizer.mean.reshape(mean.shape), VALIDATION)
-            one |= {"doors": "validation", "episodes": generation * CANDIDATES * DOORS}
-            measured.append(one | {"cpu_seconds": time.process_time() - start})
-            print(kind, seed, {k: v for k, v in one.items() if k != "parameters"}, flush=True)
+            result = measure(validation, optimizer.mean.reshape(mean.shape), VALIDATION)
+            result |= {"doors": "validation", "episodes": generation * CANDIDATES * DOORS}
+            measured.append(result | {"cpu_seconds": time.process_time() - start})
+            print(kind, seed, {k: v for k, v in result.items() if k != "parameters"}, flush=True)
         if generation < GENERATIONS:
-            asked = [optimizer.ask() for _ in range(CANDIDATES)]
-            gains = np.repeat(np.array(asked).reshape(-1, *mean.shape), DOORS, axis=0)
+            candidates = [optimizer.ask() for _ in range(CANDIDATES)]
+            gains = np.repeat(np.array(candidates).reshape(-1, *mean.shape), DOORS, axis=0)
             doors = [1000 * (100 * seed + generation) + door for door in range(DOORS)]
             cost, _, _ = trial.costs(gains, doors * CANDIDATES)
             means = cost.reshape(CANDIDATES, DOORS).mean(axis=1)
-            optimizer.tell(list(zip(asked, means.tolist(), strict=True)))
-    best = min(measured, key=lambda one: one["cost"])
+            optimizer.tell(list(zip(candidates, means.tolist(), strict=True)))
+    best = min(measured, key=lambda result: result["cost"])
     last = best | measure(Trial(len(TEST)), np.array(best["parameters"]), TEST) | {"doors": "test"}
     last["cpu_seconds"] = time.process_time() - start
-    return [one | {"kind": kind, "seed": seed} for one in [*measured, last]]
+    return [result | {"kind": kind, "seed": seed} for result in [*measured, last]]
 
 
 def measure(trial: Trial, gains: Array, seeds: list[int]) -> dict[str, Any]:
@@ -150,15 +151,15 @@ def measure(trial: Trial, gains: Array, seeds: list[int]) -> dict[str, Any]:
 
 
 def draw(measured: list[dict[str, Any]], path: Path) -> None:
-    """Draw the cost on the validation doors over the episodes of the searches."""
+    """Draw the cost on the validation doors against the number of episodes of each search."""
     from matplotlib import pyplot
 
     figure, axes = pyplot.subplots(figsize=(6.0, 3.4), layout="constrained")
     for kind, color in (("constant", "0.45"), ("policy", "tab:blue")):
         runs: dict[int, list[tuple[float, float]]] = {}
-        for one in measured:
-            if one["kind"] == kind and one["doors"] == "validation":
-                runs.setdefault(one["seed"], []).append((one["episodes"], one["cost"]))
+        for row in measured:
+            if row["kind"] == kind and row["doors"] == "validation":
+                runs.setdefault(row["seed"], []).append((row["episodes"], row["cost"]))
         for i, run in enumerate(runs.values()):
             label = None if i else {"constant": "constant action", "policy": "policy"}[kind]
             axes.plot(*zip(*run, strict=True), color=color, marker=".", label=label)
@@ -186,17 +187,17 @@ def main() -> None:
     if not arguments.draw:
         jobs = [(kind, seed) for seed in SEEDS for kind in ("constant", "policy")]
         with multiprocessing.get_context("spawn").Pool(arguments.processes) as pool:
-            measured = [one for run in pool.imap(_search, jobs) for one in run]
+            measured = [row for run in pool.imap(_search, jobs) for row in run]
         results.parent.mkdir(parents=True, exist_ok=True)
         results.write_text(json.dumps(measured, indent=1) + "\n", encoding="utf-8")
     measured = json.loads(results.read_text(encoding="utf-8"))
     print("| search | seed | largest force, mean of the test doors | cost | opened | CPU time |")
     print("|---|---|---|---|---|---|")
-    for one in measured:
-        if one["doors"] == "test":
+    for row in measured:
+        if row["doors"] == "test":
             print(
-                f"| {one['kind']} | {one['seed']} | {one['force']:.1f} N | {one['cost']:.1f} N | "
-                f"{one['open']:.0%} | {one['cpu_seconds']:.0f} s |"
+                f"| {row['kind']} | {row['seed']} | {row['force']:.1f} N | {row['cost']:.1f} N | "
+                f"{row['open']:.0%} | {row['cpu_seconds']:.0f} s |"
             )
     draw(measured, arguments.output / "learned_softness.png")
 

@@ -58,9 +58,9 @@ class FaultyDrive(SimDrive):
     def read(self) -> JointReadings:
         """Return the readings; joints that do not answer have NaN and `ok` False."""
         sample = super().read()
-        lost = np.isin(self.names, [*self.silent, *self.powerless])
-        position = np.where(lost, np.nan, sample.position)
-        return JointReadings(position, sample.ok & ~lost, sample.time)
+        is_missing = np.isin(self.names, [*self.silent, *self.powerless])
+        position = np.where(is_missing, np.nan, sample.position)
+        return JointReadings(position, sample.ok & ~is_missing, sample.time)
 
     def write(self, goal: Array, limit: Array, velocity: Array | None = None) -> None:
         """Write goals and limits, unless all writes are lost; joints without power get limit 0."""
@@ -139,7 +139,7 @@ def run_fault(case: FaultCase, *, held: bool = False) -> FaultResult:
         if plant.time > begun[0]:
             speeds.append(float(np.linalg.norm(plant.ground_truth.frame("tool").twist()[:3])))
             heights.append(float(plant.tool[2, 3]))
-            forces.extend(np.array(felt.force) for felt in plant.hands)
+            forces.extend(np.array(hand.force) for hand in plant.hands)
 
     drive.clock.on_tick = look
     reason, last = "", 0
@@ -148,8 +148,10 @@ def run_fault(case: FaultCase, *, held: bool = False) -> FaultResult:
             begun[0] = robot.clock.now() + WHEN
             try:
                 for tick in Loop(robot, controller, duration=END, **case.loop):
-                    since = tick.began - begun[0]
-                    target = case.act(tick, drive, robot, since) if since > -1e-9 else GRASP
+                    time_since = tick.began - begun[0]
+                    target = (
+                        case.act(tick, drive, robot, time_since) if time_since > -1e-9 else GRASP
+                    )
                     if target is not None:
                         tick.write(controller.step(tick.q, target, dt=tick.dt))
             finally:
@@ -164,7 +166,7 @@ def run_fault(case: FaultCase, *, held: bool = False) -> FaultResult:
         descent=max(speeds[last:]),
         drop=max(0.0, start - min(heights[:last])),
         force=float(np.linalg.norm(forces, axis=1).max()),
-        along=tuple(float(most) for most in np.abs(forces).max(axis=0)),
+        along=tuple(float(value) for value in np.abs(forces).max(axis=0)),
     )
 
 
@@ -210,12 +212,12 @@ def _silence(seconds: float, *, deaf: bool = False) -> Act:
     def act(tick: Tick, drive: FaultyDrive, robot: Arm, since: float) -> Array:
         if since < 0.005:
             drive.silent, drive.deaf = set(drive.names), deaf
-            clock, look = drive.clock, drive.clock.on_tick
+            clock, callback = drive.clock, drive.clock.on_tick
             end = clock.now() + seconds
 
             def heal() -> None:
-                if look is not None:
-                    look()
+                if callback is not None:
+                    callback()
                 if clock.now() >= end:
                     drive.silent, drive.deaf = set(), False
 
@@ -337,7 +339,7 @@ def lower(
         twist = plant.ground_truth.frame("tool").twist()
         speeds.append(float(np.linalg.norm(twist[:3])))
         heights.append(float(plant.tool[2, 3]))
-        forces.extend(float(np.linalg.norm(felt.force)) for felt in plant.hands)
+        forces.extend(float(np.linalg.norm(hand.force)) for hand in plant.hands)
 
     arm.enable()
     drive.clock.on_tick = look
@@ -348,13 +350,13 @@ def lower(
     rise = max(max(heights) - high, 0.0)
     speeds.clear()
     drive.clock.wait_until(plant.time + AFTER)
-    resting = sum(float(np.linalg.norm(felt.force)) for felt in plant.hands)
+    rest_force = sum(float(np.linalg.norm(felt.force)) for felt in plant.hands)
     return LowerResult(
         speed=speed,
         rise=rise,
         after=max(speeds),
         force=force,
-        resting=resting,
+        resting=rest_force,
         seconds=seconds,
     )
 
@@ -370,24 +372,28 @@ def postures(count: int, *, seed: int = 0, robot: str = "arm7", load: float = LO
     """
     model, heavy = robots.load(robot), robots.load(robot, payload=(load, (0.0, 0.0, 0.0)))
     assert model.servos is not None
-    usable = np.asarray(model.servos.max_torque)
+    max_torque = np.asarray(model.servos.max_torque)
     low, high = ranges(model)
     rng = np.random.default_rng(seed)
-    found: list[Array] = []
-    while len(found) < count:
+    poses: list[Array] = []
+    while len(poses) < count:
         q = rng.uniform(low, high)
-        if np.all(np.abs(heavy.gravity(q)) < MAX_LOAD_SHARE * usable):
-            found.append(q)
-    return found
+        if np.all(np.abs(heavy.gravity(q)) < MAX_LOAD_SHARE * max_torque):
+            poses.append(q)
+    return poses
 
 
 def fault_table() -> str:
     """Run every fault, without and with a hand that holds the tool; return a Markdown table."""
     rows = []
     for case in FAULT_CASES:
-        alone, held = run_fault(case), run_fault(case, held=True)
-        speeds = f"{alone.speed:.2f}", f"{1e3 * alone.drop:.1f}", f"{alone.descent:.2f}"
-        rows.append((case.title, alone.outcome, *speeds, f"{held.force:.1f}"))
+        without_hand, with_hand = run_fault(case), run_fault(case, held=True)
+        speeds = (
+            f"{without_hand.speed:.2f}",
+            f"{1e3 * without_hand.drop:.1f}",
+            f"{without_hand.descent:.2f}",
+        )
+        rows.append((case.title, without_hand.outcome, *speeds, f"{with_hand.force:.1f}"))
     columns = (
         "what happens",
         "the arm",

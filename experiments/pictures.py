@@ -137,9 +137,9 @@ def _shrink(colours: Array, solid: Array) -> Pixels:
     height, width = solid.shape[0] // FINER, solid.shape[1] // FINER
     blocks = (height, FINER, width, FINER)
     cover = solid.reshape(blocks).mean(axis=(1, 3))
-    inked = (colours * solid[:, :, None]).reshape(*blocks, 3).mean(axis=(1, 3))
+    colour_sums = (colours * solid[:, :, None]).reshape(*blocks, 3).mean(axis=(1, 3))
     out = np.zeros((height, width, 4))
-    out[:, :, :3] = inked / np.maximum(cover, 1e-6)[:, :, None]
+    out[:, :, :3] = colour_sums / np.maximum(cover, 1e-6)[:, :, None]
     out[:, :, 3] = 255.0 * cover
     return np.clip(np.rint(out), 0, 255).astype(np.uint8)
 
@@ -185,21 +185,21 @@ def _add_hand(tip: Any, usual: float, ink: dict[str, Any], *, handle: bool) -> N
 
     `usual` is the radius of the links, which scales the hand [m]; `ink` has attributes of geoms.
     """
-    turn = np.zeros(9)
-    mujoco.mju_quat2Mat(turn, np.asarray(tip.quat))
-    axes = turn.reshape(3, 3)
-    at = np.asarray(tip.pos)
+    rotation = np.zeros(9)
+    mujoco.mju_quat2Mat(rotation, np.asarray(tip.quat))
+    axes = rotation.reshape(3, 3)
+    origin = np.asarray(tip.pos)
     box, bar = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CAPSULE
     shape = {**ink, "rgba": HAND, "quat": tip.quat}
     for side in (1.0, -1.0):
-        place = at + axes @ (np.array([-0.4, side, 0.0]) * usual)
+        position = origin + axes @ (np.array([-0.4, side, 0.0]) * usual)
         tip.parent.add_geom(
-            **{**shape, "type": box}, size=(1.1 * usual, 0.2 * usual, 0.5 * usual), pos=place
+            **{**shape, "type": box}, size=(1.1 * usual, 0.2 * usual, 0.5 * usual), pos=position
         )
-    palm = at + axes @ (np.array([-1.5, 0.0, 0.0]) * usual)
+    palm = origin + axes @ (np.array([-1.5, 0.0, 0.0]) * usual)
     tip.parent.add_geom(
         **{**shape, "type": box}, size=(0.25 * usual, 1.2 * usual, 0.5 * usual), pos=palm
     )
     if handle:
         grey = {**shape, "type": bar, "rgba": JOINT}
-        tip.parent.add_geom(**grey, size=(0.35 * usual, 2.6 * usual, 0.0), pos=at)
+        tip.parent.add_geom(**grey, size=(0.35 * usual, 2.6 * usual, 0.0), pos=origin)

@@ -114,8 +114,8 @@ def pull(
     """
 
     def target(t: float) -> Array:
-        way = min(max(abs(speed) * (t - begin), 0.0), distance)
-        return displaced(start, axis, float(np.copysign(way, speed)))
+        distance_moved = min(max(abs(speed) * (t - begin), 0.0), distance)
+        return displaced(start, axis, float(np.copysign(distance_moved, speed)))
 
     return target
 

@@ -32,51 +32,55 @@ SOFT, FIRM = 4.0, 15.0
 UNDER: dict[str, Conditions] = {
     "nominal": NOMINAL,
     "tick each way": TICK_EACH_WAY,
-    "assumed × 0.7": Conditions(delay=(1, 1), believed=0.7),
-    "assumed × 1.3": Conditions(delay=(1, 1), believed=1.3),
+    "assumed × 0.7": Conditions(delay=(1, 1), assumed_ratio=0.7),
+    "assumed × 1.3": Conditions(delay=(1, 1), assumed_ratio=1.3),
 }
 
 
 def _drawer(law: Law, conditions: Conditions) -> str:
-    seen = tasks.pull_drawer(law, conditions=conditions)
+    result = tasks.pull_drawer(law, conditions=conditions)
     return (
-        f"{1e3 * seen.way:.0f} mm open, peak {seen.force:.1f} N, across {seen.across:.1f} N, "
-        f"{seen.torque:.1f} N·m"
+        f"{1e3 * result.way:.0f} mm open, peak {result.force:.1f} N, across {result.across:.1f} N, "
+        f"{result.torque:.1f} N·m"
     )
 
 
 def _wipe(law: Law, conditions: Conditions) -> str:
-    seen = tasks.wipe(law, conditions=conditions)
+    result = tasks.wipe(law, conditions=conditions)
     return (
-        f"{seen.mean:.1f} N ({seen.least:.1f} to {seen.most:.1f}), "
-        f"{1e3 * seen.off:.0f} mm off its path"
+        f"{result.mean:.1f} N ({result.least:.1f} to {result.most:.1f}), "
+        f"{1e3 * result.off:.0f} mm off its path"
     )
 
 
 def _hand_over(law: Law, conditions: Conditions) -> str:
-    seen = tasks.hand_over(law, conditions=conditions)
+    result = tasks.hand_over(law, conditions=conditions)
     return (
-        f"person {seen.effort:.0f} N, sag {1e3 * seen.sag:.0f} mm, "
-        f"tool afterwards {seen.fastest:.2f} m/s"
+        f"person {result.effort:.0f} N, sag {1e3 * result.sag:.0f} mm, "
+        f"tool afterwards {result.fastest:.2f} m/s"
     )
 
 
 def _plug(law: Law, conditions: Conditions) -> str:
-    seen = [
+    results = [
         tasks.plug_in(law, offset=offset, tilt=tilt, conditions=conditions)
         for offset, tilt in tasks.MISPLACED
     ]
-    along, across = max(each.along for each in seen), max(each.across for each in seen)
+    force_along, force_across = (
+        max(result.along for result in results),
+        max(result.across for result in results),
+    )
     return (
-        f"{sum(each.inside for each in seen)} of {len(seen)} in, along at most {along:.1f} N, "
-        f"across {across:.1f} N"
+        f"{sum(result.inside for result in results)} of {len(results)} in, "
+        f"along at most {force_along:.1f} N, across {force_across:.1f} N"
     )
 
 
 def _guide(law: Law, conditions: Conditions) -> str:
-    seen = disturbances.drag(law, conditions=conditions)
+    result = disturbances.drag(law, conditions=conditions)
     return (
-        f"{seen.force:.1f} N for {1e3 * seen.moved:.0f} mm, then at most {seen.fastest:.1f} rad/s"
+        f"{result.force:.1f} N for {1e3 * result.moved:.0f} mm, "
+        f"then at most {result.fastest:.1f} rad/s"
     )
 
 
@@ -97,22 +101,24 @@ def draw(path: Path) -> None:
     """
     from pliant._report import style
 
-    places = np.linspace(0.0, 0.15, 301)
-    held = compliance.stiffness("y") * places
-    c = np.clip(1.0 - (places - 0.01) / 0.09, 0.0, 1.0)
+    deviations = np.linspace(0.0, 0.15, 301)
+    servo_force = compliance.stiffness("y") * deviations
+    c = np.clip(1.0 - (deviations - 0.01) / 0.09, 0.0, 1.0)
     profiles: dict[Profile, tuple[str, Array]] = {
         "hardening": (style.BLUE, c * SOFT + (1.0 - c) * FIRM),
-        "constant": (style.GREEN, np.full_like(places, SOFT)),
+        "constant": (style.GREEN, np.full_like(deviations, SOFT)),
         "softening": (style.RED, c * FIRM + (1.0 - c) * SOFT),
     }
     with style.canvas(size=(6.4, 3.2)) as (figure, grid):
         ax, ends = grid[0, 0], []
         for profile, (colour, strength) in profiles.items():
             settings = Settings(axes={"y": Axis(soft=SOFT, firm=FIRM, profile=profile)})
-            seen = compliance.answer(settings)
-            ax.plot(1e3 * seen.deviation, seen.force, color=colour)
-            ax.plot(1e3 * places, np.minimum(strength, held), color=colour, ls=":", lw=1.0)
-            ends.append((float(seen.force[-1]), profile, colour))
+            curve = compliance.answer(settings)
+            ax.plot(1e3 * curve.deviation, curve.force, color=colour)
+            ax.plot(
+                1e3 * deviations, np.minimum(strength, servo_force), color=colour, ls=":", lw=1.0
+            )
+            ends.append((float(curve.force[-1]), profile, colour))
         ax.set(xlim=(0.0, 150.0), ylim=(0.0, 18.0))
         ax.set(xlabel="deviation in y [mm]", ylabel="force of the hand [N]")
         ax.set_title("Profiles: felt (solid) and promised (dotted)")

@@ -60,7 +60,7 @@ def commit(folder: Path) -> str | None:
 def _git(folder: Path, *args: str) -> str | None:
     """Return the output of a git command in a folder; None if the command fails."""
     try:
-        done = subprocess.run(
+        result = subprocess.run(
             ["git", "-C", str(folder), *args],
             capture_output=True,
             text=True,
@@ -69,4 +69,4 @@ def _git(folder: Path, *args: str) -> str | None:
         )
     except (OSError, subprocess.TimeoutExpired):
         return None
-    return done.stdout.strip() if done.returncode == 0 else None
+    return result.stdout.strip() if result.returncode == 0 else None

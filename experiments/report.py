@@ -1,4 +1,4 @@
-"""HTML report of the demo: measured numbers, statements judged by them, figures and tables."""
+"""HTML report of the demo: measurements, claims that they confirm or contradict, and figures."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Source = Literal["paper", "study"]
 
 
 class Verdict(StrEnum):
-    """Verdict on a statement: it agrees with the numbers of a run, or not (with a known reason)."""
+    """Verdict on a claim: the numbers agree, differ for a known reason, or do not agree."""
 
     AGREES = "agrees"
     DIFFERS = "differs because"
@@ -38,7 +38,7 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class Check:
-    """Test of a measured number: the interval in which a statement holds.
+    """Test of a measured number against the interval in which a claim is confirmed.
 
     Attributes:
         name: Name of the number.
@@ -133,8 +133,8 @@ class Chapter:
 
     def statements(self, source: Source | None = None) -> list[Statement]:
         """Return the statements of all figures, or only those of one source."""
-        found = [s for figure in self.figures for s in figure.statements]
-        return [s for s in found if source is None or s.source == source]
+        all_statements = [s for figure in self.figures for s in figure.statements]
+        return [s for s in all_statements if source is None or s.source == source]
 
     def count(self, verdict: Verdict, source: Source | None = None) -> int:
         """Return the number of statements with a verdict, of all sources or of one."""
@@ -268,15 +268,15 @@ def _summary(chapters: Sequence[Chapter]) -> str:
     rows = []
     for chapter in chapters:
         counts = "".join(f'<td class="n">{chapter.count(v, "paper") or "–"}</td>' for v in verdicts)
-        ours = chapter.statements("study")
-        kept = sum(s.verdict is Verdict.AGREES for s in ours)
+        bands = chapter.statements("study")
+        agreed = sum(s.verdict is Verdict.AGREES for s in bands)
         facts = "<br>".join(
             f"{escape(name)}: <b>{page.text(value)}</b>" for name, value in chapter.headline
         )
         rows.append(
             f'<tr><td><a href="#c{chapter.number}">{chapter.number}. {escape(chapter.title)}</a>'
             f"</td>{counts}"
-            f'<td class="n">{kept} of {len(ours)}</td><td class="facts">{facts}</td></tr>'
+            f'<td class="n">{agreed} of {len(bands)}</td><td class="facts">{facts}</td></tr>'
         )
     paper = '<th colspan="3">the paper’s statements</th>' if verdicts else ""
     headings = "".join(f'<th class="n">{name}</th>' for name in ("agrees", "differs", "does not"))

@@ -67,18 +67,20 @@ def run_jobs(
     Yields:
         The results in the order of the jobs.
     """
-    done = _resumed(work, processes, resume) if resume is not None else _start(work, processes)
+    results = _resumed(work, processes, resume) if resume is not None else _start(work, processes)
     # In a terminal, update one progress line every second; in a file, add a line every half minute.
     live = sys.stderr.isatty()
     begin = last = monotonic()
-    for count, result in enumerate(done, 1):
+    for count, result in enumerate(results, 1):
         yield result
-        now, over = monotonic(), count == len(work)
-        if what is not None and (over or now - last > (1.0 if live else 30.0)):
-            left, last = (now - begin) * (len(work) - count) / count, now
-            said = f"{what}: {count} of {len(work)}, {left:.0f} s left "
+        time_now, is_over = monotonic(), count == len(work)
+        if what is not None and (is_over or time_now - last > (1.0 if live else 30.0)):
+            remaining, last = (time_now - begin) * (len(work) - count) / count, time_now
+            line = f"{what}: {count} of {len(work)}, {remaining:.0f} s left "
             print(
-                f"\r{said}" if live else said, end="\n" if over or not live else "", file=sys.stderr
+                f"\r{line}" if live else line,
+                end="\n" if is_over or not live else "",
+                file=sys.stderr,
             )
 
 
@@ -147,8 +149,8 @@ def run_by_key(
     """
     keys = [job.key for job in jobs]
     if len(set(keys)) != len(keys):
-        twice = sorted({key for key in keys if keys.count(key) > 1})
-        raise ValueError(f"jobs need keys of their own, these appear twice: {', '.join(twice)}")
+        repeated = sorted({key for key in keys if keys.count(key) > 1})
+        raise ValueError(f"jobs need keys of their own, these appear twice: {', '.join(repeated)}")
     outcomes = {}
     for key, outcome in zip(keys, run_jobs(jobs, processes, what), strict=True):
         outcomes[key] = outcome

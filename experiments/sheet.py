@@ -32,7 +32,9 @@ POSES = {
 DRAG_DISTANCE, DRAG_FORCE, PUSH_FORCE = 0.10, 15.0, 3.0
 
 
-def held(name: str, settings: pliant.Settings, hand: Hand, seconds: float) -> tuple[Array, Array]:
+def hold_against(
+    name: str, settings: pliant.Settings, hand: Hand, seconds: float
+) -> tuple[Array, Array]:
     """Hold the pose of `POSES` against a hand for `seconds` [s].
 
     Returns:
@@ -47,11 +49,11 @@ def held(name: str, settings: pliant.Settings, hand: Hand, seconds: float) -> tu
         scene=[hand],
     )
     plant.reset(POSES[name])
-    target, places, forces = plant.tool, [], []
+    target, positions, forces = plant.tool, [], []
     for _ in closed_loop(plant, controller, target, seconds):
-        places.append(plant.tool[:3, 3])
+        positions.append(plant.tool[:3, 3])
         forces.append(plant.hands[0].force)
-    return np.array(places), np.array(forces)
+    return np.array(positions), np.array(forces)
 
 
 def rows(name: str, count: int = 6) -> list[tuple[str, str]]:
@@ -65,52 +67,56 @@ def rows(name: str, count: int = 6) -> list[tuple[str, str]]:
     out = []
     # The hand pulls from 2 s, reaches its distance at 3.5 s, and releases the arm at 5 s. Indices
     # below are ticks of 10 ms.
-    path, force = held(name, soft, Drag(axis="y", distance=DRAG_DISTANCE, limit=DRAG_FORCE), 8.0)
-    moved = path - path[190]
-    leading = slice(350, 490)
-    felt = np.linalg.norm(force[leading], axis=1)
+    path, force = hold_against(
+        name, soft, Drag(axis="y", distance=DRAG_DISTANCE, limit=DRAG_FORCE), 8.0
+    )
+    displacement = path - path[190]
+    pull = slice(350, 490)
+    forces = np.linalg.norm(force[pull], axis=1)
     out.append(
         (
             f'`soft("x y")`: a hand leads the tool {1e3 * DRAG_DISTANCE:.0f} mm along y',
-            f"{felt.mean():.1f} N where it stays, {np.linalg.norm(force, axis=1).max():.1f} N on "
-            f"the way; z drifts {1e3 * np.abs(moved[200:490, 2]).max():.0f} mm",
+            f"{forces.mean():.1f} N where it stays, {np.linalg.norm(force, axis=1).max():.1f} N on "
+            f"the way; z drifts {1e3 * np.abs(displacement[200:490, 2]).max():.0f} mm",
         )
     )
     window = round(steps.WINDOW * steps.RATE)
-    freed = path[500:]
-    back = np.linalg.norm(freed[window:] - freed[:-window], axis=1).max() / steps.WINDOW
-    left = 1e3 * np.linalg.norm(path[-1] - path[190])
-    out.append(("… and lets go", f"back at up to {back:.2f} m/s; {left:.0f} mm are left after 3 s"))
+    released = path[500:]
+    back = np.linalg.norm(released[window:] - released[:-window], axis=1).max() / steps.WINDOW
+    error = 1e3 * np.linalg.norm(path[-1] - path[190])
+    out.append(
+        ("… and lets go", f"back at up to {back:.2f} m/s; {error:.0f} mm are left after 3 s")
+    )
     firm = pliant.Settings.firm(task=task)
     for axis in range(3):
         push = np.eye(3)[axis] * PUSH_FORCE * (-1.0 if axis == 2 else 1.0)
-        path, _ = held(name, firm, Push(force_vector=tuple(push)), 5.0)
-        given = 1e3 * np.abs((path - path[190])[200:490, axis]).max()
+        path, _ = hold_against(name, firm, Push(force_vector=tuple(push)), 5.0)
+        deviation = 1e3 * np.abs((path - path[190])[200:490, axis]).max()
         out.append(
             (
                 f"all axes stiff: a push of {PUSH_FORCE:.0f} N along {'−' if axis == 2 else '+'}"
                 f"{'xyz'[axis]}",
-                f"gives way by {given:.0f} mm",
+                f"gives way by {deviation:.0f} mm",
             )
         )
     report = pliant.Controller(it.model, soft).report(POSES[name])
-    most = [report.axes[axis].host_loss_force for axis in "xyz"]
+    bounds = [report.axes[axis].host_loss_force for axis in "xyz"]
     out.append(
         (
             "the program dies, the servos keep their last goals: a hand meets at most",
-            f"{np.min(most):.1f} to {np.max(most):.1f} N, by direction",
+            f"{np.min(bounds):.1f} to {np.max(bounds):.1f} N, by direction",
         )
     )
     for speed in steps.SPEEDS:
         of = steps.settings(name, "cap", speed)
-        done = [steps.run(name, step, of) for step in steps.steps(name, count)]
+        results = [steps.run(name, step, of) for step in steps.steps(name, count)]
         out.append(
             (
-                f"steps of {1e3 * steps.WAY:.0f} mm, `max_tool_speed` {speed:g} m/s",
-                f"{max(d.fastest for d in done):.2f} m/s at most, "
-                f"{max(0.0, *(1e3 * d.overshoot for d in done)):.0f} mm past the target, "
-                f"{1e3 * np.median([d.left for d in done]):.0f} mm left, within 10 mm after "
-                f"{np.median([d.seconds for d in done]):.1f} s (median of {count})",
+                f"steps of {1e3 * steps.STEP_LENGTH:.0f} mm, `max_tool_speed` {speed:g} m/s",
+                f"{max(d.fastest for d in results):.2f} m/s at most, "
+                f"{max(0.0, *(1e3 * d.overshoot for d in results)):.0f} mm past the target, "
+                f"{1e3 * np.median([d.left for d in results]):.0f} mm left, within 10 mm after "
+                f"{np.median([d.seconds for d in results]):.1f} s (median of {count})",
             )
         )
     return out

@@ -122,11 +122,11 @@ def closed_loop(
             on_tick(time, plant)
         if listen is not None:
             listen(plant.torque)
-        wanted = target(time) if callable(target) else target
-        command = controller.step(plant.read().q, wanted)
+        pose = target(time) if callable(target) else target
+        command = controller.step(plant.read().q, pose)
         plant.write(command.goal, command.torque_limit)
         plant.advance()
-        yield time, wanted, command
+        yield time, pose, command
 
 
 def run(
@@ -156,9 +156,9 @@ def run(
     start = plant.tool
     door = next((fixture for fixture in plant.fixtures if isinstance(fixture, Door)), None)
     rows: list[tuple[Array, ...]] = []
-    for _, wanted, command in closed_loop(plant, controller, target, duration, on_tick=on_tick):
+    for _, pose, command in closed_loop(plant, controller, target, duration, on_tick=on_tick):
         tool = plant.tool
-        felt = plant.hands[0] if plant.hands else None
+        hand = plant.hands[0] if plant.hands else None
         # Baseline controllers have no diagnostics; their compliance is recorded as NaN.
         known = getattr(controller, "diagnostics", None)
         rows.append(
@@ -170,11 +170,11 @@ def run(
                 command.torque_limit,
                 plant.torque,
                 tool[:3, 3],
-                pliant.functional.pose_error(tool, wanted),
+                pliant.functional.pose_error(tool, pose),
                 pliant.functional.pose_error(start, tool),
                 np.full(6, np.nan) if known is None else known.compliance,
-                np.zeros(3) if felt is None else felt.force,
-                np.zeros(3) if felt is None else felt.torque,
+                np.zeros(3) if hand is None else hand.force,
+                np.zeros(3) if hand is None else hand.torque,
                 np.zeros(2) if door is None else np.array([door.peak_force, door.peak_torque]),
                 np.array(0.0 if door is None else door.angle),
             )
@@ -200,7 +200,7 @@ class Conditions:
     Attributes:
         rate: Control rate [Hz].
         delay: Delays of readings and of commands [ticks], known to the controller.
-        believed: Ratio of assumed to true friction and damping.
+        assumed_ratio: Ratio of assumed to true friction and damping.
         encoder_step: Angle of an encoder count [rad], known to the controller; 0: exact readings.
         gears: True friction that depends on speed and load; None: that of the servo table.
         gears_known: True if the controller knows the friction `gears`.
@@ -210,7 +210,7 @@ class Conditions:
 
     rate: float = 100.0
     delay: tuple[int, int] = (0, 0)
-    believed: float = 1.0
+    assumed_ratio: float = 1.0
     encoder_step: float = 0.0
     gears: Friction | None = None
     gears_known: bool = False
@@ -238,8 +238,8 @@ class Conditions:
         true = servos()
         if self.gears is not None and self.gears_known:
             true = self.gears.assumed(true)
-        return scaled(true, self.believed, self.believed).replace(
-            kv=self.believed * np.asarray(true.kv), encoder_step=self.encoder_step
+        return scaled(true, self.assumed_ratio, self.assumed_ratio).replace(
+            kv=self.assumed_ratio * np.asarray(true.kv), encoder_step=self.encoder_step
         )
 
     def controller(self, law: pliant.Settings | FromModel) -> Controlling:

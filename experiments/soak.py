@@ -75,17 +75,17 @@ class Audit:
         self.faults: Counter[str] = Counter()
         self.transactions = 0
 
-    def __call__(self, seen: Transaction) -> None:
+    def __call__(self, transaction: Transaction) -> None:
         """Check and count one transaction; record true positions and sent torque limits."""
         self.transactions += 1
-        for fault in seen.faults:
+        for fault in transaction.faults:
             self.faults[fault.partition(" ")[0]] += 1
-        if "read" in seen.instruction:
-            now = time.perf_counter() if self._machine else seen.time
+        if "read" in transaction.instruction:
+            now = time.perf_counter() if self._machine else transaction.time
             self._truth.extend((now, *self._bus.plant.q))
-        if seen.instruction == "sync_write":
-            self._sent(seen.request)
-        for write in seen.writes:
+        if transaction.instruction == "sync_write":
+            self._sent(transaction.request)
+        for write in transaction.writes:
             self._written(write)
 
     def report(self) -> dict[str, dict[str, int]]:
@@ -135,13 +135,13 @@ class Audit:
     def _sent(self, request: bytes) -> None:
         """Record the torque limits in a sync write, whether or not servos received it."""
         for frame in Framer().feed(request):
-            wide = 2 if frame.protocol == 2 else 1
-            start = int.from_bytes(frame.params[:wide], "little")
-            size = int.from_bytes(frame.params[wide : 2 * wide], "little")
-            rest = frame.params[2 * wide :]
-            for at in range(0, len(rest), 1 + size):
-                servo = self._servos[rest[at]]
-                data = rest[at + 1 : at + 1 + size]
+            width = 2 if frame.protocol == 2 else 1
+            start = int.from_bytes(frame.params[:width], "little")
+            size = int.from_bytes(frame.params[width : 2 * width], "little")
+            payload = frame.params[2 * width :]
+            for at in range(0, len(payload), 1 + size):
+                servo = self._servos[payload[at]]
+                data = payload[at + 1 : at + 1 + size]
                 name = limit_of(servo)
                 register = servo.table[name]
                 offset = register.address - start
@@ -332,11 +332,13 @@ def stale(readings: list[tuple[int, float, float, float]], truth: Array, count: 
     for k, (joint, angle, begin, end) in enumerate(readings):
         first = max(int(np.searchsorted(times, begin - 1e-9)), 0)
         last = int(np.searchsorted(times, end + 1e-9, side="right"))
-        seen = truth[first:last, 1 + joint]
-        if seen.size == 0:
+        positions = truth[first:last, 1 + joint]
+        if positions.size == 0:
             out[k] = np.inf
             continue
-        out[k] = max(float(seen.min()) - angle, angle - float(seen.max()), 0.0) / count[joint]
+        out[k] = (
+            max(float(positions.min()) - angle, angle - float(positions.max()), 0.0) / count[joint]
+        )
     return out
 
 
@@ -348,7 +350,7 @@ def drive(arm: Arm, seconds: float, rate: float) -> tuple[Loop, str, float]:
         which the loop began [s].
     """
     settings = pliant.Settings.soft("y").replace(rate=rate)
-    ended = ""
+    error_text = ""
     arm.enable()
     controller = pliant.Controller(arm.model, settings, arm.servos)
     start = arm.model.forward_kinematics(arm.read().q)
@@ -362,54 +364,58 @@ def drive(arm: Arm, seconds: float, rate: float) -> tuple[Loop, str, float]:
                 target = displaced(target, axis, swing * float(np.sin(phase)))
             tick.write(controller.step(tick.q, target, dt=tick.dt))
     except pliant.PliantError as error:
-        ended = str(error)
+        error_text = str(error)
     try:
         arm.disable_torque()
     except pliant.PliantError as error:
-        ended = f"{ended} {error}".strip()
-    return loop, ended, begin
+        error_text = f"{error_text} {error}".strip()
+    return loop, error_text, begin
 
 
 def judge(
-    family: str, arm: Arm, driven: tuple[Loop, str, float], ask: Callable[[str], Any], lag: float
+    family: str,
+    arm: Arm,
+    run_result: tuple[Loop, str, float],
+    ask: Callable[[str], Any],
+    lag: float,
 ) -> SoakResult:
-    """Return the result of a run, from the records of the host and of the emulator.
+    """Evaluate a run from the records of the host and of the emulator.
 
     Args:
         family: Servo family.
         arm: The arm, whose drive is a `Recorder`.
-        driven: Result of `drive`.
+        run_result: Result of `drive`.
         ask: Function that calls the method of the emulator's `Audit` with this name.
         lag: Time that the emulator dropped because the computer was too slow [s].
     """
-    (loop, ended, begun), chain = driven, arm.drive
+    (loop, error_text, start), chain = run_result, arm.drive
     assert isinstance(chain, Recorder)
     report, truth = ask("report"), ask("truth")
     count = np.array(
         [2.0 * np.pi / spec.row.counts_per_turn / spec.gear_ratio for spec in chain.specs]
     )
-    away = stale(chain.readings, truth, count)
+    distance = stale(chain.readings, truth, count)
     earlier = [(i, q, min(begin, end - MAX_AGE), end) for i, q, begin, end in chain.readings]
-    within = np.where(away > ROUNDING, stale(earlier, truth, count), away)
-    later = 3.0 * loop.period
+    distance_in_age = np.where(distance > ROUNDING, stale(earlier, truth, count), distance)
+    shift = 3.0 * loop.period
     # An arm that torque on still holds has the position of three cycles ago.
     shifted = [
-        (i, q, begin + later, end + later) for i, q, begin, end in chain.readings if begin >= begun
+        (i, q, begin + shift, end + shift) for i, q, begin, end in chain.readings if begin >= start
     ]
-    sent, unit = ask("limits"), ask("units")
+    sent_limits, unit = ask("limits"), ask("units")
     ids = [spec.id for spec in chain.specs]
-    asked = np.minimum(np.array(chain.asked), chain.ceilings)
-    if any(len(sent[id]) != len(asked) for id in ids):
-        counts = [len(sent[id]) for id in ids]
-        raise AssertionError(f"{len(asked)} limits were asked for, on the wire were {counts}")
-    wire = np.array([sent[id] for id in ids]).T
-    room = STALL_TOLERANCE * asked
+    requested = np.minimum(np.array(chain.asked), chain.ceilings)
+    if any(len(sent_limits[id]) != len(requested) for id in ids):
+        counts = [len(sent_limits[id]) for id in ids]
+        raise AssertionError(f"{len(requested)} limits were asked for, on the wire were {counts}")
+    wire = np.array([sent_limits[id] for id in ids]).T
+    room = STALL_TOLERANCE * requested
     step = np.array([unit[id] for id in ids])
-    off = np.maximum(np.abs(asked - wire) - room, 0.0) / step
+    excess = np.maximum(np.abs(requested - wire) - room, 0.0) / step
     return SoakResult(
         family=family,
         seconds=len(loop.lateness) * loop.period,
-        ended=ended,
+        ended=error_text,
         loop={
             "ticks": len(loop.lateness),
             "missed": loop.missed,
@@ -420,14 +426,14 @@ def judge(
         bus=arm.counters,
         struck=report["faults"],
         broken=report["broken"],
-        late=int((away > ROUNDING).sum()),
-        stale=int((within > ROUNDING).sum()),
-        furthest=float(within.max()),
+        late=int((distance > ROUNDING).sum()),
+        stale=int((distance_in_age > ROUNDING).sum()),
+        furthest=float(distance_in_age.max()),
         telling=float((stale(shifted, truth, count) > ROUNDING).mean()),
-        positions=len(away),
-        limits=off.size,
-        off=float(off.max()),
-        above=int((wire - asked > room + 1e-9).sum()),
+        positions=len(distance),
+        limits=excess.size,
+        off=float(excess.max()),
+        above=int((wire - requested > room + 1e-9).sum()),
         lateness=str(loop.lateness),
         lag=lag,
     )
@@ -447,11 +453,11 @@ def soak_stepped(family: str, seconds: float, *, rate: float = 100.0, seed: int 
         arm.open()
         bus.log.watch = audit
         faults.by_chance(**shares())
-        driven = drive(arm, seconds, rate)
-        return judge(family, arm, driven, lambda name: getattr(audit, name)(), bus.lag)
+        run_result = drive(arm, seconds, rate)
+        return judge(family, arm, run_result, lambda name: getattr(audit, name)(), bus.lag)
 
 
-def audited(family: str, seed: int) -> ArmEmulator:
+def audited_emulator(family: str, seed: int) -> ArmEmulator:
     """Return the emulator of a soak test in real time, whose log calls an `Audit`."""
     bus = emulator(family, faults=Faults(seed=seed), log=10)
     bus.log.watch = Audit(bus, machine=True)
@@ -460,14 +466,14 @@ def audited(family: str, seed: int) -> ArmEmulator:
 
 def soak(family: str, seconds: float, *, rate: float = 100.0, seed: int = 1) -> SoakResult:
     """Run the soak test in real time, with the emulator in a separate process."""
-    read = configuration(family)
-    with EmulatorProcess(audited, family, seed) as bus:
+    arm_config = configuration(family)
+    with EmulatorProcess(audited_emulator, family, seed) as bus:
         chain = Recorder(
-            factory.servo_specs(read, bus.ports), rate=rate, reply_timeout_min=PATIENCE
+            factory.servo_specs(arm_config, bus.ports), rate=rate, reply_timeout_min=PATIENCE
         )
         try:
             arm = Arm(
-                read.model(),
+                arm_config.model(),
                 chain,
                 rate=rate,
                 comm_timeout=COMM_TIMEOUT,
@@ -476,9 +482,9 @@ def soak(family: str, seconds: float, *, rate: float = 100.0, seed: int = 1) -> 
             )
             arm.open()
             bus.call("faults.by_chance", **shares())
-            driven = drive(arm, seconds, rate)
+            run_result = drive(arm, seconds, rate)
             ask = lambda name: bus.call(f"log.watch.{name}")  # noqa: E731
-            return judge(family, arm, driven, ask, bus.call("lag"))
+            return judge(family, arm, run_result, ask, bus.call("lag"))
         finally:
             chain.close()
 

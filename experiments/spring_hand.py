@@ -65,10 +65,10 @@ class Grip:
     def hold(self, rows: list[int]) -> None:
         """Attach the springs of the axes with these indices, and release the other springs."""
         model = self._place.mj_model
-        held = np.isin(np.arange(6), rows)
-        model.actuator_gainprm[self._ids, 0] = np.where(held, self.stiffness, 0.0)
-        model.actuator_biasprm[self._ids, 1] = np.where(held, -self.stiffness, 0.0)
-        model.actuator_biasprm[self._ids, 2] = np.where(held, -self.damping, 0.0)
+        is_held = np.isin(np.arange(6), rows)
+        model.actuator_gainprm[self._ids, 0] = np.where(is_held, self.stiffness, 0.0)
+        model.actuator_biasprm[self._ids, 1] = np.where(is_held, -self.stiffness, 0.0)
+        model.actuator_biasprm[self._ids, 2] = np.where(is_held, -self.damping, 0.0)
 
     def move(self, row: int, speed: float) -> None:
         """Move the rest position of one axis with a speed [m/s or rad/s]."""

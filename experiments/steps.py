@@ -4,8 +4,8 @@
 from random poses in several directions, with every law and two limits of the tool speed. It prints
 the largest tool speed (averaged over 50 ms), the largest overshoot along the step and the distance
 to the target after 4 s. With `--disturbed`, the true servos differ from the assumed ones. With
-`--soft` some axes are soft, and with `--singular` poses may be near a singular one: the table then
-is about the speed only.
+`--soft` some axes are soft, and with `--singular` poses may be near a singularity; the table then
+has the speed only.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 Law = Literal["cap", "impedance", "paper"]
 LAWS: tuple[Law, ...] = ("cap", "impedance", "paper")
 SPEEDS = (0.1, 0.25)  # [m/s]
-WAY = 0.1  # [m]
+STEP_LENGTH = 0.1  # [m]
 RATE = 100.0  # [Hz]
 #: Time before the step, time after the step, and averaging time of the tool speed [s].
 BEFORE, AFTER, WINDOW = 0.5, 4.0, 0.05
@@ -115,55 +115,59 @@ class StepResult:
 
 
 def steps(name: str, count: int, seed: int = 1, *, singular: bool = False) -> list[Step]:
-    """Return `count` random steps of the target of an arm, all poses of which are `_passable`.
+    """Return `count` random steps of the target along paths that are `_passable`.
 
-    With `singular` they may be near a singular one.
+    With `singular`, poses may be near a singularity.
     """
     it = arm(name)
     model, chance = it.model, np.random.default_rng(seed)
-    found: list[Step] = []
+    accepted: list[Step] = []
     low, high = np.maximum(model.lower, -np.pi), np.minimum(model.upper, np.pi)
     median = float(np.median(it.sigma(it.drawn)))
-    least = 0.0 if singular else SIGMA * median
-    while len(found) < count:
+    min_sigma = 0.0 if singular else SIGMA * median
+    while len(accepted) < count:
         q = chance.uniform(low, high)
-        way = chance.normal(size=3) if len(found) % 3 == 2 else np.zeros(3)
-        if not way.any():
-            way[chance.integers(3)] = chance.choice((-1.0, 1.0))
-        way *= WAY / np.linalg.norm(way)
-        if _passable(it, q, way, least):
-            x, y, z = way
-            found.append(Step(tuple(q), (x, y, z)))
-    return found
+        direction = chance.normal(size=3) if len(accepted) % 3 == 2 else np.zeros(3)
+        if not direction.any():
+            direction[chance.integers(3)] = chance.choice((-1.0, 1.0))
+        direction *= STEP_LENGTH / np.linalg.norm(direction)
+        if _passable(it, q, direction, min_sigma):
+            x, y, z = direction
+            accepted.append(Step(tuple(q), (x, y, z)))
+    return accepted
 
 
-def _passable(it: Arm, q: Array, way: Array, least: float) -> bool:
+def _passable(it: Arm, q: Array, direction: Array, min_sigma: float) -> bool:
     """Return True if all poses on a straight path meet the requirements `ROOM` to `HEIGHT`.
 
     Args:
         it: The arm.
         q: Start pose (n,) [rad].
-        way: Displacement of the tool (3,) [m].
-        least: Smallest allowed singular value.
+        direction: Displacement of the tool (3,) [m].
+        min_sigma: Smallest allowed singular value.
     """
     model, q = it.model, q.copy()
     start = np.array(model.forward_kinematics(q))
-    usable = np.asarray(it.servos.max_torque)
+    max_torque = np.asarray(it.servos.max_torque)
     for share in np.linspace(0.0, 1.0, 21):
         for _ in range(20):
             pose, jacobian = model.kinematics(q)
             target = start.copy()
-            target[:3, 3] += share * way
+            target[:3, 3] += share * direction
             error = np.asarray(pliant.functional.pose_error(pose, target))[it.rows]
             rows = jacobian[it.rows]
             pull = np.linalg.solve(rows @ rows.T + 1e-6 * np.eye(len(rows)), error)
             q += np.clip(rows.T @ pull, -0.1, 0.1)
             if np.abs(error).max() < 1e-4:
                 break
-        reached = np.abs(error).max() < 1e-3
-        inside = np.all((q > np.asarray(model.lower) + ROOM) & (q < np.asarray(model.upper) - ROOM))
-        held = np.all(np.abs(model.gravity(q)) < LOAD * usable)
-        if not (reached and inside and held and it.sigma(q) > least and pose[2, 3] > HEIGHT):
+        is_reached = np.abs(error).max() < 1e-3
+        is_inside = np.all(
+            (q > np.asarray(model.lower) + ROOM) & (q < np.asarray(model.upper) - ROOM)
+        )
+        is_held = np.all(np.abs(model.gravity(q)) < LOAD * max_torque)
+        if not (
+            is_reached and is_inside and is_held and it.sigma(q) > min_sigma and pose[2, 3] > HEIGHT
+        ):
             return False
     return True
 
@@ -197,22 +201,22 @@ def run(
         controller.set_delay(sum(options["delay"]) / RATE)
     simulated.reset(step.q)
     start, target = simulated.tool, simulated.tool
-    rest = round(BEFORE * RATE)
-    places = [simulated.tool[:3, 3] for _ in closed_loop(simulated, controller, target, BEFORE)]
+    start_tick = round(BEFORE * RATE)
+    positions = [simulated.tool[:3, 3] for _ in closed_loop(simulated, controller, target, BEFORE)]
     target[:3, 3] += step.way
-    places += [simulated.tool[:3, 3] for _ in closed_loop(simulated, controller, target, AFTER)]
-    path = np.array(places)[rest - 1 :]
+    positions += [simulated.tool[:3, 3] for _ in closed_loop(simulated, controller, target, AFTER)]
+    path = np.array(positions)[start_tick - 1 :]
     window = round(WINDOW * RATE)
     speeds = np.linalg.norm(path[window:] - path[:-window], axis=1) / WINDOW
-    way = target[:3, 3] - start[:3, 3]
-    away = path - target[:3, 3]
-    far = np.flatnonzero(np.linalg.norm(away, axis=1) > 0.01)
-    still = far[-1] + 1 if far.size else 0
+    direction = target[:3, 3] - start[:3, 3]
+    error = path - target[:3, 3]
+    far_ticks = np.flatnonzero(np.linalg.norm(error, axis=1) > 0.01)
+    settled_tick = far_ticks[-1] + 1 if far_ticks.size else 0
     return StepResult(
         fastest=float(speeds.max()),
-        overshoot=float((away @ way).max() / np.linalg.norm(way)),
-        left=float(np.linalg.norm(away[-1])),
-        seconds=float(still / RATE) if still < len(path) else np.inf,
+        overshoot=float((error @ direction).max() / np.linalg.norm(direction)),
+        left=float(np.linalg.norm(error[-1])),
+        seconds=float(settled_tick / RATE) if settled_tick < len(path) else np.inf,
     )
 
 
@@ -227,7 +231,7 @@ class Job:
         count: Number of steps.
         case: One of `DISTURBED`, or the nominal one.
         soft: Names of the soft axes.
-        singular: True if poses may be near a singular one.
+        singular: True if poses may be near a singularity.
     """
 
     robot: str
@@ -243,15 +247,20 @@ class Job:
         _, stiffness, friction, ticks = self.case
         plant = {"kp_scale": stiffness, "friction_scale": friction, "delay": (ticks, ticks)}
         of = settings(self.robot, self.law, self.speed, self.soft)
-        some = steps(self.robot, self.count, singular=self.singular)
-        return [run(self.robot, step, of, plant) for step in some]
+        all_steps = steps(self.robot, self.count, singular=self.singular)
+        return [run(self.robot, step, of, plant) for step in all_steps]
 
 
 def rows(
-    robot: str, count: int, *, disturbed: bool = False, soft: str = "", singular: bool = False
+    robot: str,
+    count: int,
+    *,
+    with_disturbances: bool = False,
+    soft: str = "",
+    singular: bool = False,
 ) -> list[Job]:
     """Return the jobs of a robot, one for each row of the table."""
-    cases = DISTURBED if disturbed else (("as assumed", 1.0, 1.0, 0),)
+    cases = DISTURBED if with_disturbances else (("as assumed", 1.0, 1.0, 0),)
     return [
         Job(robot, law, v, count, case, soft, singular)
         for case in cases
@@ -264,20 +273,20 @@ def table(jobs: Sequence[Job], outcomes: Sequence[Sequence[StepResult]]) -> str:
     """Return a Markdown table with worst value and median of each row."""
     columns = ("arm", "plant", "law", "set [m/s]", "fastest [m/s]", "allowed", "overshoot [mm]")
     rows = []
-    for job, found in zip(jobs, outcomes, strict=True):
-        kept = sum(one.kept(job.speed) for one in found)
+    for job, results in zip(jobs, outcomes, strict=True):
+        kept_count = sum(result.kept(job.speed) for result in results)
         rows.append(
             (
                 job.robot,
                 job.case[0],
                 f"`{job.law}`",
                 f"{job.speed:g}",
-                program.worst((one.fastest for one in found), 2),
+                program.worst((result.fastest for result in results), 2),
                 f"{FACTOR * job.speed + MORE:.2f}",
-                program.worst((one.overshoot for one in found), 1, 1e3),
-                program.worst((one.left for one in found), 1, 1e3),
-                program.worst((one.seconds for one in found), 1),
-                f"{kept} of {len(found)}",
+                program.worst((result.overshoot for result in results), 1, 1e3),
+                program.worst((result.left for result in results), 1, 1e3),
+                program.worst((result.seconds for result in results), 1),
+                f"{kept_count} of {len(results)}",
             )
         )
     return program.markdown((*columns, "left [mm]", "within 10 mm after [s]", "kept"), rows)
@@ -299,10 +308,10 @@ def main(
         poses: Number of steps per row.
         disturbed: True uses servos that differ from the assumed ones.
         soft: Names of the soft axes, such as "x y"; default: none.
-        singular: True allows poses near a singular one.
+        singular: True allows poses near a singularity.
         jobs: Number of processes.
     """
-    todo = rows(robot, poses, disturbed=disturbed, soft=soft, singular=singular)
+    todo = rows(robot, poses, with_disturbances=disturbed, soft=soft, singular=singular)
     print(table(todo, list(run_jobs(todo, jobs, "steps"))))
 
 

@@ -183,22 +183,22 @@ def hand_over(law: Law, *, mass: float = 0.3, conditions: Conditions = NOMINAL) 
         mass: Mass of the object, unknown to the controller [kg].
         conditions: Control rate, delays, true servo parameters, assumptions of the controller.
     """
-    thing = HandoverObject(mass=mass)
+    handover_object = HandoverObject(mass=mass)
     start = tool(VERTICAL)
 
     def open_when_taken(time: float, plant: Plant) -> None:
-        taken = float(np.linalg.norm(plant.tool[:3, 3] - start[:3, 3])) > RELEASE_DISTANCE
-        if thing.released is None and time > thing.course.start and taken:
-            thing.release(plant)
+        is_taken = float(np.linalg.norm(plant.tool[:3, 3] - start[:3, 3])) > RELEASE_DISTANCE
+        if handover_object.released is None and time > handover_object.course.start and is_taken:
+            handover_object.release(plant)
 
-    plant = conditions.build(thing)
+    plant = conditions.build(handover_object)
     controller = conditions.controller(law)
     trace = run(plant, controller, start, 6.0, q=VERTICAL, on_tick=open_when_taken)
     steps = np.linalg.norm(np.diff(trace.position, axis=0), axis=1) * conditions.rate
-    before = trace.at(thing.course.start)
+    before = trace.at(handover_object.course.start)
     return HandoverResult(
-        effort=thing.peak_effort,
-        released=thing.released,
+        effort=handover_object.peak_effort,
+        released=handover_object.released,
         sag=float(np.linalg.norm(trace.error[before, :3])),
         fastest=float(steps[before:].max()),
         trace=trace,
@@ -242,11 +242,11 @@ def plug_in(
     socket = Socket(offset=(*offset, -0.02), tilt=(*tilt, 0.0))
     start = tool(VERTICAL)
     target = pull(start, INSERTION, axis="z", speed=-INSERTION_SPEED)
-    touched: list[float] = []
+    offsets: list[float] = []
 
     def notice(time: float, plant: Plant) -> None:
-        if not touched and socket.force > 0.0:
-            touched.append(float(np.hypot(*(plant.tool[:2, 3] - start[:2, 3]))))
+        if not offsets and socket.force > 0.0:
+            offsets.append(float(np.hypot(*(plant.tool[:2, 3] - start[:2, 3]))))
 
     plant = conditions.build(socket)
     trace = run(plant, conditions.controller(law), target, 6.0, q=VERTICAL, on_tick=notice)
@@ -254,7 +254,7 @@ def plug_in(
         inside=socket.deepest > INSIDE,
         along=socket.peak_along,
         across=socket.peak_across,
-        off=touched[0] if touched else 0.0,
+        off=offsets[0] if offsets else 0.0,
         trace=trace,
     )
 

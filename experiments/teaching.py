@@ -49,13 +49,15 @@ def teaching(name: str, kp_scale: float) -> Motion:
         name: Name of the arm.
         kp_scale: Ratio of the true to the assumed servo stiffness [1].
     """
-    q, sideways, up, _ = ARMS[name]
+    q, sideways, height, _ = ARMS[name]
     course = ForceProfile(
         start=HAND_START, rise=HAND_DURATION, end=HAND_START + HAND_DURATION + 0.5
     )
     hands = [
-        Drag(axis=axis, distance=way, stiffness=STIFFNESS, limit=LIMIT, at="tool", course=course)
-        for axis, way in (("y", sideways), ("z", up))
+        Drag(
+            axis=axis, distance=distance, stiffness=STIFFNESS, limit=LIMIT, at="tool", course=course
+        )
+        for axis, distance in (("y", sideways), ("z", height))
     ]
     with _connect(name, q, kp_scale, hands) as arm:
         return record(arm, idle_timeout=1.0)
@@ -119,36 +121,36 @@ def replay(name: str, kp_scale: float, soft: bool, speed: float, *held: bool) ->
         controller = pliant.Controller(arm.model, pliant.Settings(task=task, axes=axes), arm.servos)
         options = {"speed": speed} if wait else {"speed": speed, "wait": NEVER_WAIT}
         replay = Replay(controller, motion, **options)
-        remembered = False
+        has_position = False
         for tick in pliant.Loop(arm, controller, duration=40.0):
             tick.write(replay.step(tick.q, dt=tick.dt), replay.extra(arm))
             now = tick.began  # the scene's hand uses the plant's clock
-            if block and not remembered and now >= BLOCK_SPAN[0] - 0.02:
+            if block and not has_position and now >= BLOCK_SPAN[0] - 0.02:
                 plant.ground_truth.remember()  # makes the hand hold the tool's present position
-                remembered = True
+                has_position = True
             force = float(np.linalg.norm(plant.hands[0].force)) if block else 0.0
-            want = model.forward_kinematics(motion.at(replay.time))[:3, 3]
-            rows.append((now, replay.time, force, *plant.tool[:3, 3], *want))
+            expected = model.forward_kinematics(motion.at(replay.time))[:3, 3]
+            rows.append((now, replay.time, force, *plant.tool[:3, 3], *expected))
             if replay.done and now > BLOCK_SPAN[1] + 4.0 * block:
                 break
     data = np.array(rows)
-    time, clock, forces, tool, want = np.split(data, [1, 2, 3, 6], axis=1)
+    time, clock, forces, tool, expected = np.split(data, [1, 2, 3, 6], axis=1)
     time, clock, forces = time[:, 0], clock[:, 0], forces[:, 0]
-    playing = clock > 0.0
-    error = np.linalg.norm(tool - want, axis=1)
-    taught = np.array([model.forward_kinematics(q)[:3, 3] for q in motion.q])
-    path = np.linalg.norm(tool[playing, None] - taught[None], axis=2).min(axis=1)
+    is_playing = clock > 0.0
+    error = np.linalg.norm(tool - expected, axis=1)
+    taught_path = np.array([model.forward_kinematics(q)[:3, 3] for q in motion.q])
+    path = np.linalg.norm(tool[is_playing, None] - taught_path[None], axis=2).min(axis=1)
     speeds = np.linalg.norm(np.diff(tool, axis=0), axis=1) / np.diff(time)
-    late = (time > BLOCK_SPAN[1] - 1.0) & (time < BLOCK_SPAN[1])
-    released = time[1:] > BLOCK_SPAN[1]
+    is_late = (time > BLOCK_SPAN[1] - 1.0) & (time < BLOCK_SPAN[1])
+    is_released = time[1:] > BLOCK_SPAN[1]
     return ReplayResult(
-        worst=float(error[playing].max()),
-        median=float(np.median(error[playing])),
+        worst=float(error[is_playing].max()),
+        median=float(np.median(error[is_playing])),
         end=float(error[-1]),
         path=float(path.max()),
-        force=float(np.median(forces[late])) if block else 0.0,
+        force=float(np.median(forces[is_late])) if block else 0.0,
         peak=float(forces.max()),
-        after=float(speeds[released].max()) if block else 0.0,
+        after=float(speeds[is_released].max()) if block else 0.0,
         took=float(time[-1] - time[0]),
     )
 
@@ -165,26 +167,26 @@ def main(jobs: int = 2) -> None:
         for kp in (1.0, 0.8)
         for soft, speed in ((False, 1.0), (True, 1.0), (True, 0.5), (True, 2.0))
     ]
-    blocked = [
+    held_cases = [
         (name, 1.0, soft, 1.0, wait)
         for name in ARMS
         for soft in (False, True)
         for wait in (True, False)
     ]
-    found = run_by_key([Job(str(case), replay, case) for case in (*free, *blocked)], jobs)
+    results = run_by_key([Job(str(case), replay, case) for case in (*free, *held_cases)], jobs)
     rows: list[tuple[str, ...]] = []
     for case in free:
         name, kp, soft, speed = case
-        run = found[str(case)]
-        off = f"{1e3 * run.worst:.1f} ({1e3 * run.median:.1f})"
+        run = results[str(case)]
+        error = f"{1e3 * run.worst:.1f} ({1e3 * run.median:.1f})"
         path = f"{1e3 * run.path:.1f}"
-        rows.append((name, f"{kp:g}", _stiffness(name, soft), f"{speed:g}", off, path))
+        rows.append((name, f"{kp:g}", _stiffness(name, soft), f"{speed:g}", error, path))
     columns = ["arm", "k_p ×", "y", "speed", "off the clock, worst (median) [mm]"]
     print(program.markdown([*columns, "off the path [mm]"], rows))
     rows = []
-    for held in blocked:
+    for held in held_cases:
         name, _, soft, _, wait = held
-        run = found[str(held)]
+        run = results[str(held)]
         force, peak, end = f"{run.force:.1f}", f"{run.peak:.1f}", f"{1e3 * run.end:.1f}"
         motion = "waits" if wait else "runs on"
         rows.append((name, _stiffness(name, soft), motion, force, peak, f"{run.after:.2f}", end))

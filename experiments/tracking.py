@@ -49,10 +49,10 @@ class TrackResult:
 
 
 def track(law: Law, axis: str, *, conditions: Conditions = NOMINAL) -> TrackResult:
-    """Move the target sinusoidally along or about one axis from 1 to 17 s, two periods.
+    """Move the target sinusoidally along or about one axis for two periods, from 1 to 17 s.
 
     Returns:
-        Errors of the tool, which starts in the vertical grasp pose.
+        Deviations of the tool from its target; the run starts in the vertical grasp pose.
     """
     start = tool(VERTICAL)
     index = AXES.index(axis)
@@ -60,18 +60,17 @@ def track(law: Law, axis: str, *, conditions: Conditions = NOMINAL) -> TrackResu
     trace = run(conditions.build(), conditions.controller(law), target, 17.0, q=VERTICAL)
     swing = trace.between(1.0, 17.0)
     error = trace.error[swing]
-    # A row of the trace has the state at the end of a tick but the target of its start, so compute
-    # the target at the end.
+    # The trace has the state at the end of a tick, but the target of its start.
     target_at_end = AMPLITUDE[axis] * np.sin(2.0 * np.pi * (trace.t[swing] - 1.0) / PERIOD)
-    sunk = trace.position[:, 2] - start[2, 3]
-    far = trace.position[:, 0] > 0.40
+    height_change = trace.position[:, 2] - start[2, 3]
+    is_far = trace.position[:, 0] > 0.40
     back = trace.at(1.0 + 4.5)
     return TrackResult(
         share=metrics.rms(target_at_end - trace.moved[swing, index]) / AMPLITUDE[axis],
         position=metrics.largest(error[:, metrics.others(index, "xyz")]),
         rotation=metrics.largest(error[:, metrics.others(index, "rpy")]),
-        sunk=float(-sunk[far].min()) if far.any() else 0.0,
-        left=float(-sunk[back]),
+        sunk=float(-height_change[is_far].min()) if is_far.any() else 0.0,
+        left=float(-height_change[back]),
         trace=trace,
     )
 

@@ -1,4 +1,4 @@
-"""Arms for tests: without a configuration file, or with a file that leaves the arm enabled."""
+"""Arms for tests: without a configuration file, or with one that leaves torque on at exit."""
 
 from pathlib import Path
 from typing import Any
@@ -9,10 +9,10 @@ from pliant.sim import Plant, SimDrive
 
 
 def left_enabled(folder: Path) -> str:
-    """Write the ready file of an SO-101 that stays enabled, and return its path.
+    """Write the file of an SO-101 whose torque stays on at exit, and return its path.
 
-    This saves the descent, which takes as long as that of a real arm. The reply timeout is long,
-    because a busy machine may delay replies.
+    A descent would take as long as on a real arm. The reply timeout is long, because a busy machine
+    may delay replies.
     """
     loop = "[loop]\nreply_timeout_min = 0.2\ncomm_timeout = 10.0\n\n"
     life = f'{loop}[life]\non_exit = "leave_enabled"\n'
@@ -24,17 +24,19 @@ def left_enabled(folder: Path) -> str:
 def bare_arm(
     robot: str = "arm7", *, q: Any = None, real_time: bool = False, **options: Any
 ) -> pliant.Arm:
-    """Return a built-in model on the simulator: no table, no rest pose.
+    """Return a simulated arm of a built-in model, without a table and without a rest pose.
 
     Args:
         robot: Name of the built-in model.
         q: Initial joint positions (n,) [rad]; None: the middle of the ranges.
-        real_time: Run in real time.
+        real_time: True: the simulation runs in real time.
         **options: Options of `pliant.Arm` and `pliant.sim.Plant`.
     """
     model = pliant.robots.load(robot)
-    own = {name: value for name, value in options.items() if name in ARM_OPTIONS}
-    plant = Plant(model, **{k: v for k, v in options.items() if k not in own or k == "rate"})
+    arm_options = {name: value for name, value in options.items() if name in ARM_OPTIONS}
+    plant = Plant(
+        model, **{k: v for k, v in options.items() if k not in arm_options or k == "rate"}
+    )
     if q is not None:
         plant.reset(q)
-    return pliant.Arm(model, SimDrive(plant, real_time=real_time), **own)
+    return pliant.Arm(model, SimDrive(plant, real_time=real_time), **arm_options)

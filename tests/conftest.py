@@ -1,4 +1,4 @@
-"""Tiers of tests, and their distribution; CONTRIBUTING.md says which command runs which."""
+"""Selection of quick and slow tests, and their distribution to workers; see CONTRIBUTING.md."""
 
 import os
 import signal
@@ -70,7 +70,7 @@ WAITING = 1
 
 
 def pytest_configure() -> None:
-    """Let programs that tests start be ended by SIGINT, which a run in the background ignores."""
+    """Handle SIGINT in a run in the background too, so that programs of tests inherit this."""
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
@@ -85,7 +85,7 @@ def pytest_xdist_auto_num_workers() -> int | None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
-    """Return a scheduler that distributes slow tests singly, the others by file.
+    """Return a scheduler that distributes slow tests one by one, and the others by file.
 
     Tests that share a simulated run (`SHARED`) go to the same worker.
     """
@@ -95,20 +95,20 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
         def _split_scope(self, nodeid: str) -> str:
             file, _, name = nodeid.partition("::")
             test = f"{file}::{name.partition('[')[0]}"
-            alone = is_slow(file) or file in PROGRAMS
-            return UNITS.get(test) or UNITS.get(file) or (nodeid if alone else file)
+            is_single = is_slow(file) or file in PROGRAMS
+            return UNITS.get(test) or UNITS.get(file) or (nodeid if is_single else file)
 
     return Units(config, log)
 
 
 def is_slow(file: str) -> bool:
-    """Return True if `make check` leaves out the tests of a file, named from the root."""
+    """Return True if `make check` skips the tests of a file, given by its path from the root."""
     name = file.removeprefix("tests/")
     return name.partition("/")[0] in SLOW or name in SLOW_FILES
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the tests that `make check` leaves out, and those that this system cannot run."""
+    """Mark the tests that `make check` skips, and skip those that this system cannot run."""
     for item in items:
         if not hasattr(os, "openpty") and item.get_closest_marker("pty"):
             item.add_marker(pytest.mark.skip(reason="the emulator's ports are pseudo-terminals"))

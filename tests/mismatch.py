@@ -1,8 +1,8 @@
 """Plant-model mismatch: a test states true and assumed parameters, which are then verified.
 
-A test with wrong assumptions states both sets of parameters; equal sets are rejected. At the end of
-the `with` block, each plant and each user of a servo table created in it is compared with them. A
-drive or an experiment that passes the plant's true parameters to the controller therefore fails:
+A test of wrong assumptions states both sets of parameters; equal sets are rejected. At the end of
+the `with` block, all plants, controllers and arms created in it are compared with the statement. An
+experiment that passes the plant's true parameters to the controller therefore fails:
 
     with Mismatch(plant=Parameters(kp=1.25), assumed=Parameters()):
         run = lower(grasp, kp_scale=1.25)
@@ -29,24 +29,25 @@ if TYPE_CHECKING:
     from experiments.simulation import Conditions
     from pliant.sim.friction import Friction
 
-#: Placeholder for a random value, which only has to differ from that of the other side.
-DRAWN = float("nan")
-#: Relative difference below which two numbers are equal.
-SAME = 1e-6
+#: Stands for a random value of a parameter: the value need only differ from the other side's.
+RANDOM = float("nan")
+#: Relative and absolute difference below which two numbers are equal.
+TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
 class Parameters:
-    """Parameters of one side: those of the plant, or the assumed ones.
+    """Parameters of one side of a mismatch: of the plant, or as the controller assumes them.
 
     Attributes:
         kp, friction, damping, torque: Ratios to the robot's servo table, scalars or (n,). Damping
             is the sum of gear damping and back-EMF.
         payload: Mass at the tool [kg].
-        delay: Delay from sampling to reading plus that from a write to the servo [s]; of the
-            assumed side, only the delay in a controller is compared.
+        delay: Sum of the delays from the sensor to the controller and from a write to the servo
+            [s]; on the assumed side it is compared only in controllers.
         reach: Ratio of the joint ranges to those of the plant's model, scalar or (n,).
-        gears: Friction model by speed and load, in place of the table; None: constant friction.
+        gears: Friction model by speed and load that replaces the friction of the servo table;
+            None: constant friction.
     """
 
     kp: ArrayLike = 1.0
@@ -64,8 +65,8 @@ NUMBERS = ("kp", "friction", "damping", "torque", "payload", "delay", "reach")
 
 def differs(plant: ArrayLike, assumed: ArrayLike) -> bool:
     """Return True if two numbers, or some entries of two arrays, differ."""
-    one, other = np.broadcast_arrays(np.asarray(plant, float), np.asarray(assumed, float))
-    return not np.allclose(one, other, rtol=SAME, atol=SAME)
+    first, second = np.broadcast_arrays(np.asarray(plant, float), np.asarray(assumed, float))
+    return not np.allclose(first, second, rtol=TOLERANCE, atol=TOLERANCE)
 
 
 def under(conditions: Conditions) -> Mismatch:
@@ -76,25 +77,25 @@ def under(conditions: Conditions) -> Mismatch:
     """
     delay = sum(conditions.delay) / conditions.rate
     plant = Parameters(delay=delay, gears=conditions.gears)
-    share = conditions.believed
-    known = conditions.gears if conditions.gears_known else None
-    assumed = Parameters(delay=delay, friction=share, damping=share, gears=known)
+    ratio = conditions.assumed_ratio
+    gears = conditions.gears if conditions.gears_known else None
+    assumed = Parameters(delay=delay, friction=ratio, damping=ratio, gears=gears)
     return Mismatch(plant=plant, assumed=assumed)
 
 
 class Mismatch:
-    """Context manager that checks the objects created in its block against the stated parameters.
+    """Context manager that compares plants and controllers created in its block with the statement.
 
     Attributes:
         plant, assumed: Parameters of the two sides.
-        plants: Plants made in the block.
-        consumers: Controllers, arms, identifications and hand guidings made in the block.
+        plants: Plants created in the block.
+        consumers: Controllers, arms, identifications and hand guidings created in the block.
     """
 
     def __init__(
         self, *, plant: Parameters, assumed: Parameters, compared: tuple[str, ...] = NUMBERS
     ) -> None:
-        """State both sides; only the parameters named in `compared` are compared.
+        """State the parameters of both sides; `compared` names those to compare in the end.
 
         Raises:
             AssertionError: The two sides are equal.
@@ -110,13 +111,13 @@ class Mismatch:
     def build(
         self, model: pliant.Model, servos: pliant.Servos | None = None, **options: Any
     ) -> Plant:
-        """Make the plant; `options` of `Plant` in addition to the stated parameters."""
+        """Return a plant with the stated parameters, and with `options` of `Plant`."""
         side = self.plant
         if side.payload:
             options.setdefault("payload", (side.payload, (0.0, 0.0, 0.0)))
         if side.gears is not None:
             options["friction"] = side.gears
-        made = Plant(
+        new_plant = Plant(
             model,
             servos,
             kp_scale=side.kp,
@@ -124,8 +125,8 @@ class Mismatch:
             damping_scale=side.damping,
             **options,
         )
-        self.plants.append(made)
-        return made
+        self.plants.append(new_plant)
+        return new_plant
 
     def servos(self, model: pliant.Model) -> pliant.Servos:
         """Return the assumed servo table."""
@@ -138,13 +139,13 @@ class Mismatch:
         )
 
     def __enter__(self) -> Mismatch:
-        """Start to record the plants, controllers, arms, ... that are made."""
-        for cls, made in (
+        """Start to record all plants, controllers, arms and other consumers that are created."""
+        for cls, objects in (
             (Plant, self.plants),
             (Arm, self.consumers),
             (Excitation, self.consumers),
         ):
-            self._stack.enter_context(patch.object(cls, "__init__", _recorded(cls, made)))
+            self._stack.enter_context(patch.object(cls, "__init__", _recorded(cls, objects)))
         self._stack.enter_context(patch.object(pliant, "Controller", _recorder(self.consumers)))
         return self
 
@@ -173,27 +174,28 @@ class Mismatch:
             self._compare(consumer, _of_consumer(consumer, plant), self.assumed, self.plant)
 
     def _compare(
-        self, whose: Any, found: dict[str, Any], stated: Parameters, other: Parameters
+        self, owner: Any, actual: dict[str, Any], stated: Parameters, other: Parameters
     ) -> None:
-        name = type(whose).__name__
+        name = type(owner).__name__
         for field in self.compared:
-            if field not in found or (field == "friction" and self.plant.gears is not None):
+            if field not in actual or (field == "friction" and self.plant.gears is not None):
                 continue
-            is_, meant = found[field], getattr(stated, field)
-            if np.isnan(meant).any():
-                assert differs(is_, getattr(other, field)), f"{name}: {field} is the other side's"
+            value, expected = actual[field], getattr(stated, field)
+            if np.isnan(expected).any():
+                assert differs(value, getattr(other, field)), f"{name}: {field} is the other side's"
             else:
-                assert not differs(is_, meant), f"{name}: {field} is {is_}, stated is {meant}"
-        has, meant = found["gears"], stated.gears is not None
-        assert has == meant, f"{name}: friction by speed and load is {has}, stated is {meant}"
+                message = f"{name}: {field} is {value}, stated is {expected}"
+                assert not differs(value, expected), message
+        value, expected = actual["gears"], stated.gears is not None
+        assert value == expected, f"{name}: friction by speed and load is {value}, not {expected}"
 
 
 def _of_plant(plant: Plant) -> dict[str, Any]:
     gains, table = plant.gains, plant.model.servos
     return {
         "kp": gains.kp / table.kp,
-        "friction": _over(gains.friction, table.friction),
-        "damping": _over(gains.damping, _damping(table, plant.n)),
+        "friction": _ratio(gains.friction, table.friction),
+        "damping": _ratio(gains.damping, _damping(table, plant.n)),
         "torque": gains.torque / table.max_torque,
         "payload": _mass(plant) - _mass(Plant(plant.model)),
         "delay": sum(plant._bus._delay) * plant.period,
@@ -203,35 +205,35 @@ def _of_plant(plant: Plant) -> dict[str, Any]:
 
 
 def _of_consumer(consumer: Any, plant: Plant) -> dict[str, Any]:
-    own, table, n = consumer.servos, plant.model.servos, plant.n
+    assumed, table, n = consumer.servos, plant.model.servos, plant.n
     model, load = consumer.model, consumer.model.payload
-    heard = getattr(consumer, "settings", None)
+    settings = getattr(consumer, "settings", None)
     return {
-        **({} if heard is None else {"delay": heard.delay}),
-        "kp": _chain(own.kp, n) / table.kp,
-        "friction": _over(_chain(own.friction, n), table.friction),
-        "damping": _over(_damping(own, n), _damping(table, n)),
-        "torque": _chain(own.max_torque, n) / table.max_torque,
+        **({} if settings is None else {"delay": settings.delay}),
+        "kp": _chain(assumed.kp, n) / table.kp,
+        "friction": _ratio(_chain(assumed.friction, n), table.friction),
+        "damping": _ratio(_damping(assumed, n), _damping(table, n)),
+        "torque": _chain(assumed.max_torque, n) / table.max_torque,
         "payload": 0.0 if load is None else load.mass,
-        "reach": _over(
+        "reach": _ratio(
             np.subtract(model.upper, model.lower),
             np.subtract(plant.model.upper, plant.model.lower),
         ),
-        "gears": bool(np.any(_chain(own.load_friction, n) > table.load_friction)),
+        "gears": bool(np.any(_chain(assumed.load_friction, n) > table.load_friction)),
     }
 
 
 def _chain(column: ArrayLike, n: int) -> np.ndarray:
-    """Return the first n entries, those of the chain's joints; an arm's table has grippers too."""
+    """Return the first n entries of a column: those after the joints belong to grippers."""
     values = np.asarray(column, dtype=float)
     return values[:n] if values.size > n else np.broadcast_to(values, n)
 
 
-def _over(one: ArrayLike, other: ArrayLike) -> np.ndarray:
-    """Return `one` over `other`; 1 for equal values, also for 0 and 0 or two infinities."""
-    one, other = np.asarray(one, dtype=float), np.asarray(other, dtype=float)
-    ratio = np.ones(np.broadcast_shapes(one.shape, other.shape))
-    return np.divide(one, other, out=ratio, where=(one != other) & (other != 0.0))
+def _ratio(a: ArrayLike, b: ArrayLike) -> np.ndarray:
+    """Return a / b; 1 where a and b are equal (also both 0 or infinite) and where b is 0."""
+    a, b = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
+    ratio = np.ones(np.broadcast_shapes(a.shape, b.shape))
+    return np.divide(a, b, out=ratio, where=(a != b) & (b != 0.0))
 
 
 def _damping(table: pliant.Servos, n: int) -> np.ndarray:
@@ -250,22 +252,22 @@ def _mass(plant: Plant) -> float:
     return float(model.body_subtreemass[body])
 
 
-def _recorded(cls: type, made: list[Any]) -> Any:
-    """Return an `__init__` for `cls` that appends each new object to `made`."""
+def _recorded(cls: type, objects: list[Any]) -> Any:
+    """Return an `__init__` for `cls` that appends each new object to `objects`."""
     init = cls.__init__
 
     @functools.wraps(init)
     def recording(self: Any, *args: Any, **options: Any) -> None:
         init(self, *args, **options)
-        made.append(self)
+        objects.append(self)
 
     return recording
 
 
-def _recorder(made: list[Any]) -> type:
-    """Return a stand-in for the class `Controller` that appends each new object to `made`.
+def _recorder(objects: list[Any]) -> type:
+    """Return a substitute for the class `Controller` that appends each new object to `objects`.
 
-    It is needed because the `__init__` of a compiled class cannot be replaced.
+    The `__init__` of a compiled class cannot be replaced.
     """
     compiled = pliant.Controller
 
@@ -275,7 +277,7 @@ def _recorder(made: list[Any]) -> type:
 
     class Controller(metaclass=Meta):
         def __new__(cls, *args: Any, **options: Any) -> pliant.Controller:
-            made.append(compiled(*args, **options))
-            return made[-1]
+            objects.append(compiled(*args, **options))
+            return objects[-1]
 
     return Controller

@@ -1,9 +1,9 @@
-"""Programs in separate processes that need not import the package again.
+"""Programs in separate processes that start faster, because they do not import the package again.
 
-A server process imports the package, and forks for each program. A fork is like `python -c CODE`,
-`python FILE` or `python -m MODULE`: it has its own `sys.argv`, working folder, environment,
-standard streams and signal handlers, and it ends like an interpreter, with traceback and exit code.
-It cannot draw with OpenGL, whose threads do not survive a fork.
+A server process imports the package, and forks for each program. The fork behaves like
+`python -c CODE`, `python FILE` or `python -m MODULE`: it has its own `sys.argv`, working folder,
+environment, standard streams and signal handlers, and ends with traceback and exit code. It cannot
+draw with OpenGL, whose threads do not survive a fork.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ MODULES = (
     *("numpy", "mujoco", "rustypot", "pydantic", "rich.console", "tyro", "pliant", "pliant.arm"),
     *("pliant.cli", "pliant.config.factory", "pliant.emulator", "pliant.servo", "pliant.sim"),
 )
-#: Largest request [byte], and period of the checks for the end of a program [s].
-SIZE, LOOK = 1 << 18, 0.005
+#: Largest request [byte], and period at which the server checks for the end of a program [s].
+REQUEST_SIZE, POLL_PERIOD = 1 << 18, 0.005
 
 
 def serve(number: int) -> Any:
@@ -39,10 +39,10 @@ def serve(number: int) -> Any:
     for name in MODULES:
         with suppress(ImportError):  # if an extra is not installed
             importlib.import_module(name)
-    gc.freeze()  # a fork does not touch, and so not copy, the memory of the modules
+    gc.freeze()  # otherwise a collection in a fork would copy the memory of the modules
     with socket.socket(fileno=number) as line:
         while True:
-            data, files, _, _ = socket.recv_fds(line, SIZE, 3)
+            data, files, _, _ = socket.recv_fds(line, REQUEST_SIZE, 3)
             if not data:
                 os._exit(0)
             request = pickle.loads(data)
@@ -67,50 +67,50 @@ def serve(number: int) -> Any:
     return _code(request["words"])
 
 
-def _code(words: list[str]) -> Any:
+def _code(arguments: list[str]) -> Any:
     """Return the code of `-c CODE`, `-m MODULE` or `FILE`, with its arguments in `sys.argv`."""
-    if words[0] == "-m":
-        sys.argv[:] = words[1:]
+    if arguments[0] == "-m":
+        sys.argv[:] = arguments[1:]
         text = (
             "import runpy, sys; runpy.run_module(sys.argv[0], run_name='__main__', alter_sys=True)"
         )
         return compile(text, "<string>", "exec")
-    if words[0] == "-c":
-        sys.argv[:] = ["-c", *words[2:]]
-        return compile(words[1], "<string>", "exec")
-    sys.argv[:] = words
-    sys.path[0] = str(Path(words[0]).parent)
-    sys.modules["__main__"].__file__ = words[0]
-    return compile(Path(words[0]).read_text(encoding="utf-8"), words[0], "exec")
+    if arguments[0] == "-c":
+        sys.argv[:] = ["-c", *arguments[2:]]
+        return compile(arguments[1], "<string>", "exec")
+    sys.argv[:] = arguments
+    sys.path[0] = str(Path(arguments[0]).parent)
+    sys.modules["__main__"].__file__ = arguments[0]
+    return compile(Path(arguments[0]).read_text(encoding="utf-8"), arguments[0], "exec")
 
 
 @cache
 def _server() -> tuple[socket.socket, threading.Lock]:
-    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    local, remote = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     start = f"import sys; sys.path.append({str(Path(__file__).parent)!r}); import programs"
-    start += f"; sys.path.pop(); exec(programs.serve({theirs.fileno()}))"
+    start += f"; sys.path.pop(); exec(programs.serve({remote.fileno()}))"
     server = subprocess.Popen(
         [sys.executable, "-c", start],
         env={**os.environ, "MUJOCO_GL": "disable"},
         stdin=DEVNULL,
-        pass_fds=[theirs.fileno()],
+        pass_fds=[remote.fileno()],
         start_new_session=True,
     )
-    theirs.close()
+    remote.close()
 
     @atexit.register
     def end() -> None:
-        ours.close()
+        local.close()
         server.wait()
 
-    return ours, threading.Lock()
+    return local, threading.Lock()
 
 
 def _ask(request: Any, files: tuple[int, ...] = ()) -> Any:
     line, lock = _server()
     with lock:
         socket.send_fds(line, [pickle.dumps(request)], files)
-        return pickle.loads(line.recv(SIZE))
+        return pickle.loads(line.recv(REQUEST_SIZE))
 
 
 class Program:
@@ -127,7 +127,7 @@ class Program:
 
     def __init__(
         self,
-        *words: str,
+        *arguments: str,
         stdin: Any = DEVNULL,
         stdout: Any = PIPE,
         stderr: Any = PIPE,
@@ -136,28 +136,28 @@ class Program:
         start_new_session: bool = False,
     ) -> None:
         request = {
-            "words": list(words),
+            "words": list(arguments),
             "folder": str(cwd or Path.cwd()),
             "environment": dict(os.environ if env is None else env),
             "session": start_new_session,
         }
-        theirs, ours, given = [], [], (stdin, stdout, stderr)
-        for number, stream in enumerate(given):
-            own = None
+        remote_ends, local_ends, streams = [], [], (stdin, stdout, stderr)
+        for number, stream in enumerate(streams):
+            local_end = None
             if stream == PIPE:
                 ends = os.pipe()
-                own, there = ends if number else ends[::-1]
-                own = os.fdopen(own, "r" if number else "w", encoding="utf-8")
+                local_end, remote_end = ends if number else ends[::-1]
+                local_end = os.fdopen(local_end, "r" if number else "w", encoding="utf-8")
             elif stream == DEVNULL:
-                there = os.open(os.devnull, os.O_RDWR)
+                remote_end = os.open(os.devnull, os.O_RDWR)
             else:
-                there = os.dup(stream if isinstance(stream, int) else stream.fileno())
-            ours.append(own)
-            theirs.append(there)
-        self.stdin, self.stdout, self.stderr = ours
+                remote_end = os.dup(stream if isinstance(stream, int) else stream.fileno())
+            local_ends.append(local_end)
+            remote_ends.append(remote_end)
+        self.stdin, self.stdout, self.stderr = local_ends
         self.returncode: int | None = None
-        self.pid: int = _ask(request, tuple(theirs))
-        for file in theirs:
+        self.pid: int = _ask(request, tuple(remote_ends))
+        for file in remote_ends:
             os.close(file)
 
     def __enter__(self) -> Program:
@@ -175,33 +175,33 @@ class Program:
 
     def wait(self, timeout: float = 100.0) -> int:
         """Return the exit code; raise `TimeoutExpired` after `timeout` seconds."""
-        until = time.monotonic() + timeout
+        deadline = time.monotonic() + timeout
         while self.poll() is None:
-            if time.monotonic() > until:
+            if time.monotonic() > deadline:
                 raise subprocess.TimeoutExpired(f"process {self.pid}", timeout)
-            time.sleep(LOOK)
+            time.sleep(POLL_PERIOD)
         assert self.returncode is not None
         return self.returncode
 
     def communicate(self, timeout: float = 100.0) -> tuple[str, str]:
         """Wait for the end of the program; return the text of stdout and stderr, if piped."""
-        until, said = time.monotonic() + timeout, {self.stdout: "", self.stderr: ""}
+        deadline, output = time.monotonic() + timeout, {self.stdout: "", self.stderr: ""}
         if self.stdin is not None:
             self.stdin.close()
 
         def read(stream: Any) -> None:
-            said[stream] = stream.read()
+            output[stream] = stream.read()
 
-        readers = [threading.Thread(target=read, args=[s], daemon=True) for s in said if s]
+        readers = [threading.Thread(target=read, args=[s], daemon=True) for s in output if s]
         for reader in readers:
             reader.start()
         for reader in readers:
-            reader.join(max(until - time.monotonic(), 0.0))
+            reader.join(max(deadline - time.monotonic(), 0.0))
             if reader.is_alive():
                 raise subprocess.TimeoutExpired(f"process {self.pid}", timeout)
-        self.wait(max(until - time.monotonic(), LOOK))
+        self.wait(max(deadline - time.monotonic(), POLL_PERIOD))
         self._close()
-        return said[self.stdout], said[self.stderr]
+        return output[self.stdout], output[self.stderr]
 
     def send_signal(self, number: int) -> None:
         """Send a signal to the program, unless it has ended."""
@@ -217,13 +217,15 @@ class Program:
             stream.close()
 
 
-def run(*words: str, timeout: float = 100.0, **options: Any) -> subprocess.CompletedProcess[str]:
+def run(
+    *arguments: str, timeout: float = 100.0, **options: Any
+) -> subprocess.CompletedProcess[str]:
     """Run a program to its end, like `subprocess.run` with captured text."""
-    program = Program(*words, **options)
+    program = Program(*arguments, **options)
     try:
-        said, complained = program.communicate(timeout)
+        stdout, stderr = program.communicate(timeout)
     except BaseException:
         program.kill()
         program.wait()
         raise
-    return subprocess.CompletedProcess(list(words), program.returncode, said, complained)
+    return subprocess.CompletedProcess(list(arguments), program.returncode, stdout, stderr)

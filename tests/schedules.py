@@ -1,8 +1,8 @@
-"""A cooperative scheduler: one thread of a program runs at a time, in an order that a plan gives.
+"""Deterministic scheduler: the threads of a program run one at a time, in the order of a plan.
 
-Tasks are real threads. A task hands over at every traced line of the code under test, and at every
-call of a lock, event, clock or pipe made here. Time is virtual: it advances to the next deadline
-once no task can run. The same plan therefore gives the same run.
+Tasks are real threads. Another task may continue at every traced line of the code under test, and
+at every call of a lock, event, clock or pipe of this module. Time is virtual: it advances to the
+next deadline once no task can run. The same plan therefore gives the same run.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from types import SimpleNamespace
 
 
 class Killed(BaseException):
-    """Ends a task whose process has ended."""
+    """Raised in a task to end it after the end of its process."""
 
 
 class Stuck(AssertionError):
-    """No task can ever run again, or the run does not end."""
+    """All tasks wait forever, or the run takes too many steps."""
 
 
 class Plan:
-    """Actions by step; a step without an action continues the task that runs.
+    """Actions by step number; in a step without an action the current task continues.
 
     ("switch", k): to the k-th other task that can run, or once the time for which it waits has
     passed; ("signal", number); ("kill", None): SIGKILL; ("call", function).
@@ -38,7 +38,7 @@ class Plan:
 
 
 class Task:
-    """A thread; `ready` and `deadline` say when a task that waits can run again."""
+    """Thread of a process; a waiting task continues if `ready()` is True, or at its `deadline`."""
 
     def __init__(self, name, process):
         self.name, self.process = name, process
@@ -69,7 +69,7 @@ class Scheduler:
     # Decisions of the plan.
 
     def step(self):
-        """Let the plan act, in the task that runs."""
+        """Count a step of the current task and execute the action of the plan for this step."""
         task = self.current
         self._check(task)
         self.steps += 1
@@ -97,7 +97,7 @@ class Scheduler:
             self._deliver()
 
     def check(self):
-        """Check the invariants, without steps in the code that they call."""
+        """Check the invariants; lines of the code that they call do not count as steps."""
         self._is_checking = True
         try:
             self.on_step()
@@ -135,7 +135,7 @@ class Scheduler:
     # Tasks.
 
     def _can_run(self, task, *, may_wait=False):
-        """Return True if a task can run; with `may_wait` also if it can once time has passed."""
+        """Return True if a task can run; with `may_wait`, also if it can after its deadline."""
         if task.is_done or task.is_killed:
             return False
         if may_wait and task.deadline is not None:
@@ -146,7 +146,7 @@ class Scheduler:
         return is_due or (task.ready is not None and task.ready())
 
     def _hand_over(self, task):
-        """Let another task run, and wait until it is this one's turn again."""
+        """Continue another task, and wait until this one is continued."""
         this = self.current
         self.current = task
         task.baton.release()
@@ -155,7 +155,7 @@ class Scheduler:
             raise Killed
 
     def _park(self, task):
-        """Wait for the end of the run in a task of a process that has ended."""
+        """Suspend a task of a process that has ended, until the end of the run."""
         following = self._next()
         if following is None:
             self._is_over = True
@@ -164,7 +164,7 @@ class Scheduler:
         raise Killed
 
     def _next(self):
-        """Return the task that runs next if the present one cannot; None: no task can ever run."""
+        """Return the task that runs next if the current one cannot; None: no task can ever run."""
         while True:
             for task in self.tasks:
                 if self._can_run(task):
@@ -176,10 +176,10 @@ class Scheduler:
             self.now = max(self.now, min(times))
 
     def wait(self, ready=None, deadline=None):
-        """Wait until `ready` returns True or until a time; a signal may end the wait of the main.
+        """Wait until `ready()` is True or the deadline; a signal may end a wait of the main task.
 
         Returns:
-            False if the time came first.
+            False if the deadline passed first.
         """
         self.retrace()
         self.step()
@@ -232,9 +232,9 @@ class Scheduler:
         return task
 
     def run(self, program):
-        """Run the main program, then the other processes to their end; raise what was found."""
+        """Run the main program, then the other processes, to their end; raise their first error."""
         before = sys.gettrace()
-        # Collecting the generators of an earlier run would be steps of this one.
+        # Otherwise generators of an earlier run would execute traced lines when they are deleted.
         gc.collect(1)
         gc.disable()
         sys.settrace(self._trace)
@@ -270,7 +270,7 @@ class Scheduler:
         return self._trace_line
 
     def retrace(self):
-        """Trace again after an exception of a step, which ends the tracing of its thread."""
+        """Trace this thread again: an exception in the trace function ends tracing."""
         if sys.gettrace() is not None or self._is_over:
             return
         frame = sys._getframe(1)
@@ -311,7 +311,7 @@ class Scheduler:
 
 
 class Lock:
-    """Reentrant lock."""
+    """Reentrant lock of the virtual module `threading`."""
 
     def __init__(self, scheduler):
         self._scheduler, self.owner, self._depth = scheduler, None, 0
@@ -343,7 +343,7 @@ class Lock:
 
 
 class Event:
-    """Event."""
+    """Event of the virtual module `threading`."""
 
     def __init__(self, scheduler):
         self._scheduler, self._is_set = scheduler, False
@@ -363,7 +363,7 @@ class Event:
 
 
 class Clock:
-    """Clock of a drive, in virtual time; `real_time` as a real bus has it."""
+    """Clock of a drive in virtual time; `real_time` is True as for a real bus."""
 
     real_time = True
 
@@ -385,8 +385,8 @@ class Pipe:
         self.received, self.other, self.is_closed = deque(), None, False
 
     @staticmethod
-    def pair(scheduler, one, two):
-        ends = Pipe(scheduler, one), Pipe(scheduler, two)
+    def pair(scheduler, first, second):
+        ends = Pipe(scheduler, first), Pipe(scheduler, second)
         ends[0].other, ends[1].other = ends[1], ends[0]
         return ends
 

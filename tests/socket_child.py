@@ -1,7 +1,8 @@
 """Child process of tests/test_child.py: reports its sockets, then waits for an answer.
 
-It sends two characters, each "1" for yes: its own children would inherit the socket; it has also
-inherited the other end. Exit code 0: the answer was "."; 7: the socket was closed.
+It sends two characters, "1" or "0". The first is "1" if its own children would inherit the socket,
+the second if it has inherited the other end too. Exit code 0: the answer was "."; 7: the socket was
+closed.
 """
 
 import os

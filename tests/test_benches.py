@@ -56,9 +56,9 @@ def test_the_law_of_the_peers_uses_all_its_parts(load):
     problem, numpy_peer = load("comparison.problem"), load("comparison.numpy_peer")
     arm = problem.bench_arm()
     kinematics, law = numpy_peer.kinematics_of(arm), numpy_peer.law_of(arm)
-    for q, ahead in problem.states(arm):
+    for q, twist in problem.states(arm):
         pose, jacobian = kinematics(q)
-        target = kinematics(ahead)[0]
+        target = kinematics(twist)[0]
         goal, limit = law(q, target, pose, jacobian)
         at_rest = law(q, pose, pose, jacobian)[0]
         assert np.abs(goal - at_rest).max() > 1e-3, "the target moves the goal"
@@ -70,20 +70,20 @@ def test_the_law_of_the_peers_uses_all_its_parts(load):
 def test_a_stage_that_grows_is_named(counts):
     stored = {"baseline": {"forward": 1000.0, "step": 200.0}}
     assert counts.regressions({"baseline": {"forward": 1049.0, "step": 150.0}}, stored) == []
-    said = counts.regressions({"baseline": {"forward": 1051.0, "step": 200.0}}, stored)
-    assert len(said) == 1
-    assert "forward (baseline) takes 1051 instructions, 5.1% more than the 1000" in said[0]
+    messages = counts.regressions({"baseline": {"forward": 1051.0, "step": 200.0}}, stored)
+    assert len(messages) == 1
+    assert "forward (baseline) takes 1051 instructions, 5.1% more than the 1000" in messages[0]
     assert counts.regressions({"avx2": {"forward": 9999.0}}, stored) == [], "nothing to compare"
 
 
 @pytest.mark.parametrize("lacking", ["valgrind", "rustc"])
 def test_counting_is_skipped_loudly(lacking, tmp_path):
     for tool in {"valgrind", "rustc"} - {lacking}:
-        found = shutil.which(tool)
-        if found is None:
+        path = shutil.which(tool)
+        if path is None:
             pytest.skip(f"{tool} is not installed")
-        (tmp_path / tool).symlink_to(found)
-    done = subprocess.run(
+        (tmp_path / tool).symlink_to(path)
+    result = subprocess.run(
         [sys.executable, str(BENCHES / "counts.py")],
         env={**os.environ, "PATH": str(tmp_path)},
         capture_output=True,
@@ -91,6 +91,6 @@ def test_counting_is_skipped_loudly(lacking, tmp_path):
         timeout=60,
         check=False,
     )
-    assert done.returncode == 0, done.stderr
-    assert "!! SKIPPED: instruction counts" in done.stdout
-    assert lacking in done.stdout or "no counts stored" in done.stdout
+    assert result.returncode == 0, result.stderr
+    assert "!! SKIPPED: instruction counts" in result.stdout
+    assert lacking in result.stdout or "no counts stored" in result.stdout

@@ -14,45 +14,45 @@ POSIX = os.name == "posix"
 
 @pytest.fixture
 def ends(monkeypatch):
-    """Return both ends of a socket; set the working folder to this one, so that children start."""
+    """Return both ends of a socket; change to this folder, where the children are."""
     monkeypatch.chdir(Path(__file__).parent)
-    ours, theirs = socket.socketpair()
-    ours.settimeout(60.0)
-    with ours, theirs:
-        yield ours, theirs
+    local, remote = socket.socketpair()
+    local.settimeout(60.0)
+    with local, remote:
+        yield local, remote
 
 
 @pytest.mark.slow
 def test_a_child_has_the_socket_that_it_was_given_and_no_other(ends):
-    ours, theirs = ends
-    process = start_module("socket_child", theirs, str(ours.fileno()))
-    assert ours.recv(1) + ours.recv(1) == b"00"
-    ours.sendall(b".")
+    local, remote = ends
+    process = start_module("socket_child", remote, str(local.fileno()))
+    assert local.recv(1) + local.recv(1) == b"00"
+    local.sendall(b".")
     assert process.wait(60) == 0
 
 
 @pytest.mark.slow
 def test_a_child_notices_that_the_program_closed_its_end(ends):
-    ours, theirs = ends
-    process = start_module("socket_child", theirs, str(ours.fileno()))
-    theirs.close()
-    assert ours.recv(1) + ours.recv(1) == b"00"
-    ours.close()
+    local, remote = ends
+    process = start_module("socket_child", remote, str(local.fileno()))
+    remote.close()
+    assert local.recv(1) + local.recv(1) == b"00"
+    local.close()
     assert process.wait(60) == 7
 
 
 @pytest.mark.slow
-def test_a_child_that_cannot_start_is_no_error_of_the_start(ends):
+def test_a_child_that_cannot_start_does_not_raise(ends):
     assert start_module("no_such_module", ends[1]).wait(60) == 1
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(not POSIX, reason="Ctrl-C goes to the foreground group of a POSIX terminal")
 def test_ctrl_c_reaches_the_program_and_not_its_child(ends):
-    ours, theirs = ends
-    process = start_module("socket_parent", theirs)
-    theirs.close()
-    assert ours.recv(1) + ours.recv(1) == b"00"
+    local, remote = ends
+    process = start_module("socket_parent", remote)
+    remote.close()
+    assert local.recv(1) + local.recv(1) == b"00"
     os.killpg(process.pid, signal.SIGINT)
-    ours.sendall(b".")
+    local.sendall(b".")
     assert process.wait(60) == 0, "the program waits for its child, which ends by the answer"

@@ -1,4 +1,4 @@
-"""Code that the experiments share: jobs for other processes, workers, search for robot files."""
+"""Common code of the experiments: jobs in other processes, and the search for robot files."""
 
 import importlib
 import re
@@ -20,8 +20,8 @@ from experiments import arms, runner
 from experiments.runner import run_jobs
 
 FOLDER = Path(experiments.__file__).parent
-#: Options with which a module lists few jobs, so that it takes less than a second.
-FEW = {"descent": ["--arm", "so101", "--poses", "1"]}
+#: By module: options with which it lists few jobs, so that it takes less than a second.
+SHORT_OPTIONS = {"descent": ["--arm", "so101", "--poses", "1"]}
 
 
 class Started(Exception):
@@ -49,7 +49,7 @@ def test_another_process_finds_the_jobs_by_their_module(name, monkeypatch):
     monkeypatch.setattr(runner, "run_jobs", refuse)
     for call in {"run_jobs", "run_by_key"} & vars(module).keys():
         monkeypatch.setattr(module, call, refuse)
-    monkeypatch.setattr(sys, "argv", [name, *FEW.get(name, [])])
+    monkeypatch.setattr(sys, "argv", [name, *SHORT_OPTIONS.get(name, [])])
     with pytest.raises(Started):
         runpy.run_module(f"experiments.{name}", run_name="__main__")
 
@@ -63,7 +63,7 @@ class Square:
 
 
 class ListOnly(ThreadingBackend):
-    """A backend that returns a list only, as Ray's does."""
+    """A joblib backend without generators as results, like that of Ray."""
 
     supports_return_generator = False
 
@@ -72,8 +72,8 @@ class ListOnly(ThreadingBackend):
 def test_results_come_in_order_from_every_backend(backend, capsys):
     register_parallel_backend("list-only", ListOnly)
     with parallel_config(backend=backend):
-        found = list(run_jobs([Square(side) for side in range(5)], 2, "squares"))
-    assert found == [0, 1, 4, 9, 16]
+        results = list(run_jobs([Square(side) for side in range(5)], 2, "squares"))
+    assert results == [0, 1, 4, 9, 16]
     assert "squares: 5 of 5" in capsys.readouterr().err
 
 
@@ -123,10 +123,10 @@ def test_jobs_run_on_ray():
     try:
         register_ray()
         with parallel_config(backend="ray"):
-            found = list(run_jobs([Square(side) for side in range(8)], 2))
+            results = list(run_jobs([Square(side) for side in range(8)], 2))
     finally:
         ray.shutdown()
-    assert found == [k * k for k in range(8)]
+    assert results == [k * k for k in range(8)]
 
 
 def test_robots_are_looked_for_beside_a_clone_only(tmp_path, monkeypatch):
@@ -134,12 +134,12 @@ def test_robots_are_looked_for_beside_a_clone_only(tmp_path, monkeypatch):
     for root in ("checkout", "venv/lib/python3.11/site-packages"):
         file = tmp_path / root / "experiments" / "arms.py"
         monkeypatch.setattr(arms, "__file__", str(file))
-        beside = file.resolve().parents[1].parent / "shared" / "robots"
-        beside.mkdir(parents=True)
+        sibling = file.resolve().parents[1].parent / "shared" / "robots"
+        sibling.mkdir(parents=True)
         file.parent.mkdir(parents=True)
         if root.startswith("checkout"):
             (tmp_path / "checkout" / "pyproject.toml").touch()
-            assert arms._robots() == beside
+            assert arms._robots() == sibling
         else:
             assert not arms._robots().is_absolute(), "nothing beside an environment"
         monkeypatch.setenv("PLIANT_ROBOTS", "/elsewhere")

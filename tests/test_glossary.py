@@ -18,23 +18,23 @@ TEXT = (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8")
 ROWS = [line for line in TEXT.splitlines() if line.startswith("| ")]
 #: Words in backticks in the first column of the glossary's tables.
 TERMS = {word for row in ROWS for word in re.findall(r"`([^`]+)`", row.split("|")[1])}
-#: Options that need no entry: they are self-explanatory, or explained with their class.
+#: Options without an entry: they are self-explanatory, or the docstring of their class has them.
 SELF_EXPLAINING = {"grippers", "handle_signals", "power_budget", "rate", "table", "watchdog"}
 
 
-def words_of(*things: object) -> set[str]:
-    """Return the public names of these classes and modules."""
-    found = set()
-    for thing in things:
-        found |= {name for name in dir(thing) if not name.startswith("_")}
-        if inspect.isclass(thing):
-            found |= set(inspect.signature(thing).parameters)
-            documented = re.findall(r"^ +([\w, ]+): ", thing.__doc__ or "", re.MULTILINE)
-            found |= {name for names in documented for name in names.split(", ")}
-    return found
+def words_of(*objects: object) -> set[str]:
+    """Return the names of public members and arguments of these classes and modules."""
+    words = set()
+    for item in objects:
+        words |= {name for name in dir(item) if not name.startswith("_")}
+        if inspect.isclass(item):
+            words |= set(inspect.signature(item).parameters)
+            documented = re.findall(r"^ +([\w, ]+): ", item.__doc__ or "", re.MULTILINE)
+            words |= {name for names in documented for name in names.split(", ")}
+    return words
 
 
-SPOKEN = words_of(
+PUBLIC_NAMES = words_of(
     *(pliant, pliant.Arm, pliant.Axis, pliant.Command, pliant.Controller, pliant.Loop),
     *(pliant.feasibility.AxisReport, pliant.feasibility.PoseReport),
     *(pliant.Servos, pliant.Settings, pliant.Task, pliant.Tick, pliant.types.WrenchEstimate),
@@ -50,8 +50,8 @@ SPOKEN = words_of(
 
 
 def test_every_field_of_an_axis_and_option_of_an_arm_is_explained():
-    wanted = set(inspect.signature(pliant.Axis).parameters) | ARM_OPTIONS - SELF_EXPLAINING
-    assert wanted - {"soft_step_limit"} <= {term.split(".")[-1] for term in TERMS}
+    expected = set(inspect.signature(pliant.Axis).parameters) | ARM_OPTIONS - SELF_EXPLAINING
+    assert expected - {"soft_step_limit"} <= {term.split(".")[-1] for term in TERMS}
 
 
 def test_every_exception_is_listed_with_the_built_in_that_it_derives_from():
@@ -68,5 +68,5 @@ def test_every_exception_is_listed_with_the_built_in_that_it_derives_from():
 @pytest.mark.parametrize("term", sorted(TERMS))
 def test_every_term_exists(term):
     last = term.split(".")[-1].split("(")[0]
-    plain = {"x y z roll pitch yaw", "q", "dq", "target"}
-    assert term in plain or last in SPOKEN, f"{term} is not a public name"
+    symbols = {"x y z roll pitch yaw", "q", "dq", "target"}
+    assert term in symbols or last in PUBLIC_NAMES, f"{term} is not a public name"

@@ -1,7 +1,7 @@
-"""Damaged texts, messages and pickles: an explained error or something that works.
+"""Damaged texts, messages and pickles cause a typed error or are accepted; they never crash.
 
-Logs are in tests/log, servo packets in tests/emulator and tests/servo; the core has targets of its
-own in fuzz/.
+Tests of logs are in tests/log, those of servo packets in tests/emulator and tests/servo; the fuzz
+targets of the core are in fuzz/.
 """
 
 from __future__ import annotations
@@ -24,8 +24,9 @@ from pliant.teach import Motion
 from pliant.view import messages
 
 MODEL = pliant.robots.so101()
-#: Hypothesis runs many inputs per test; each overwrites the file in the folder of the test.
-FOLDER = {"suppress_health_check": [HealthCheck.function_scoped_fixture], "deadline": None}
+#: Settings of Hypothesis for tests that use `tmp_path`: all inputs of a test share one folder, and
+#: each overwrites the file of the previous one.
+SHARED_FOLDER = {"suppress_health_check": [HealthCheck.function_scoped_fixture], "deadline": None}
 
 NUMBERS = st.one_of(
     st.floats(), st.integers(), st.sampled_from([10**400, -(10**400), 1e308, 5e-324, 2**31, 2**63])
@@ -39,28 +40,28 @@ VALUES = st.recursive(
 )
 
 
-def places(data, path=()):
+def entry_paths(data, path=()):
     """Return the path of every entry of nested lists and tables."""
     items = enumerate(data) if isinstance(data, list) else data.items()
     for key, value in items:
         yield (*path, key)
         if isinstance(value, list | dict):
-            yield from places(value, (*path, key))
+            yield from entry_paths(value, (*path, key))
 
 
 @st.composite
-def changed(draw, data, *, removed=True):
+def mutated(draw, data, *, can_remove=True):
     """Return `data` with one to three entries replaced or, if allowed, removed."""
     data = deepcopy(data)
     for _ in range(draw(st.integers(1, 3))):
-        found = list(places(data))
-        if not found:
+        paths = list(entry_paths(data))
+        if not paths:
             break
-        *path, last = draw(st.sampled_from(found))
+        *path, last = draw(st.sampled_from(paths))
         owner = data
         for key in path:
             owner = owner[key]
-        if not removed or draw(st.integers(0, 3)):
+        if not can_remove or draw(st.integers(0, 3)):
             owner[last] = draw(VALUES)
         else:
             del owner[last]
@@ -88,8 +89,8 @@ def test_the_undamaged_files_are_read(tmp_path):
     assert Motion.load(file).duration == pytest.approx(0.4)
 
 
-@settings(max_examples=150, **FOLDER)
-@given(changed(CALIBRATION))
+@settings(max_examples=150, **SHARED_FOLDER)
+@given(mutated(CALIBRATION))
 def test_calibrations(tmp_path, data):
     (tmp_path / "one.json").write_text(json.dumps(data))
     try:
@@ -100,8 +101,8 @@ def test_calibrations(tmp_path, data):
         assert all(0.0 <= motor.middle <= 2**31 for motor in motors.values())
 
 
-@settings(max_examples=150, **FOLDER)
-@given(changed(MOTION))
+@settings(max_examples=150, **SHARED_FOLDER)
+@given(mutated(MOTION))
 def test_motions(tmp_path, data):
     (tmp_path / "one.json").write_text(json.dumps(data))
     try:
@@ -113,16 +114,16 @@ def test_motions(tmp_path, data):
             assert np.isfinite(motion.at(time)).all()
 
 
-@settings(max_examples=150, **FOLDER)
+@settings(max_examples=150, **SHARED_FOLDER)
 @given(st.binary(max_size=200))
 @example(b"[" * 100_000)
 @example(b"\xff\xfe{}")
-def test_bytes_that_are_no_file(tmp_path, content):
+def test_bytes_that_are_not_a_valid_file_are_refused(tmp_path, content):
     (tmp_path / "one.json").write_bytes(content)
     (tmp_path / "one.toml").write_bytes(content)
-    for read, name in ((read_calibration, "one.json"), (Motion.load, "one.json")):
+    for load, name in ((read_calibration, "one.json"), (Motion.load, "one.json")):
         with pytest.raises(pliant.ConfigError, match=r"one\.json"):
-            read(tmp_path / name)
+            load(tmp_path / name)
     with pytest.raises(pliant.ConfigError, match=r"one\.toml"):
         config.load(tmp_path / "one.toml")
 
@@ -145,19 +146,19 @@ def toml(draw):
     """Return the ready file of the SO-101 with one to three lines changed."""
     lines = list(LINES)
     for _ in range(draw(st.integers(1, 3))):
-        at = draw(st.integers(0, len(lines) - 1))
-        key, equals, _ = lines[at].partition("=")
+        index = draw(st.integers(0, len(lines) - 1))
+        key, equals, _ = lines[index].partition("=")
         match draw(st.integers(0, 4)):
             case 0:
-                lines[at] = ""
+                lines[index] = ""
             case 1:
-                lines.insert(at, draw(st.sampled_from(lines)))
+                lines.insert(index, draw(st.sampled_from(lines)))
             case 2:
-                lines.insert(at, f"{draw(st.sampled_from(['rate', 'x', 'law', 'soft']))} = 1")
+                lines.insert(index, f"{draw(st.sampled_from(['rate', 'x', 'law', 'soft']))} = 1")
             case _ if equals:
-                lines[at] = f"{key}= {draw(SCALARS)}"
+                lines[index] = f"{key}= {draw(SCALARS)}"
             case _:
-                lines[at] = draw(st.text(max_size=20))
+                lines[index] = draw(st.text(max_size=20))
     return "\n".join(lines)
 
 
@@ -165,9 +166,9 @@ def toml(draw):
 @given(toml())
 def test_configurations(text):
     try:
-        read = config.parse(text, source="arm.toml")
-        model = read.model()
-        pliant.Controller(model, read.settings())
+        arm_config = config.parse(text, source="arm.toml")
+        model = arm_config.model()
+        pliant.Controller(model, arm_config.settings())
     except pliant.PliantError as error:
         assert len(str(error)) > 10  # noqa: PT017
 
@@ -217,7 +218,7 @@ def page_message(draw):
     """Return a message with one field replaced, or with a number of one of its lists replaced."""
     message = draw(st.sampled_from(MESSAGES))
     values = {field.name: getattr(message, field.name) for field in fields(message)}
-    return type(message)(**draw(changed(values, removed=False)))
+    return type(message)(**draw(mutated(values, can_remove=False)))
 
 
 @settings(max_examples=150, deadline=None)
@@ -242,7 +243,7 @@ def test_messages_of_the_page(message):
 
 @pytest.fixture(scope="module")
 def running():
-    """Return a controller after some steps, a measured position and a target."""
+    """Return a controller after three steps, joint positions [rad] and a target pose."""
     controller = pliant.Controller(MODEL, pliant.Settings.soft("y", task="xyz"), MODEL.servos)
     q = np.array([0.1, 0.4, 0.2, 0.3, 0.1])
     target = MODEL.forward_kinematics(q)
@@ -255,16 +256,16 @@ def running():
 @given(data=st.data())
 def test_pickles_with_other_numbers(running, data):
     controller, q, target = running
-    make, (model, told, servos, numbers) = controller.__reduce__()
+    make, (model, law_settings, servos, numbers) = controller.__reduce__()
     numbers = list(numbers)
     state = numbers[-1] = numbers[-1].copy()
     for _ in range(data.draw(st.integers(0, 4))):
         state[data.draw(st.integers(0, len(state) - 1))] = data.draw(st.floats())
     if data.draw(st.booleans()):
-        at = data.draw(st.integers(0, len(numbers) - 1))
-        numbers[at] = data.draw(VALUES)
+        index = data.draw(st.integers(0, len(numbers) - 1))
+        numbers[index] = data.draw(VALUES)
     try:
-        other = make(model, told, servos, tuple(numbers))
+        other = make(model, law_settings, servos, tuple(numbers))
         command = other.step(q, target)
     except (pliant.PliantError, TypeError, ValueError, OverflowError) as error:
         assert len(str(error)) > 5  # noqa: PT017

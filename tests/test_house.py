@@ -42,7 +42,7 @@ def run(*args: str, cwd: Path, **environment: str) -> subprocess.CompletedProces
 
 
 def run_program(script: Path, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
-    """Run a script in a separate process; only one that draws with OpenGL imports everything."""
+    """Run a script in a fork of the test server, or, if it draws with OpenGL, in a new process."""
     if "render" in script.read_text(encoding="utf-8"):
         return run(str(script), cwd=cwd, **environment)
     environment = {**os.environ, "MPLBACKEND": "Agg", **environment}
@@ -60,43 +60,43 @@ def test_version_is_the_one_of_the_workspace():
 
 def test_import_loads_no_extra(tmp_path):
     code = f"import json, sys, pliant; print(json.dumps([m for m in {EXTRAS} if m in sys.modules]))"
-    done = run("-I", "-c", code, cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout) == []
+    result = run("-I", "-c", code, cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert json.loads(result.stdout) == []
 
 
 def python_blocks(text: str) -> list[str]:
     """Return Python blocks of a Markdown text, except those under `<!-- not run: reason -->`."""
     pattern = r"(<!-- not run: [^>]+ -->\n+)?^```python\n(.*?)^```"
-    found = re.findall(pattern, text, flags=re.MULTILINE | re.DOTALL)
-    return [block for excuse, block in found if not excuse]
+    matches = re.findall(pattern, text, flags=re.MULTILINE | re.DOTALL)
+    return [block for reason, block in matches if not reason]
 
 
 def documents() -> list[Path]:
-    """Return README and pages with Python to run."""
+    """Return those of the README and the pages that contain Python code to run."""
     files = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
     return [p for p in files if p.exists() and python_blocks(p.read_text(encoding="utf-8"))]
 
 
-# The blocks of a document run one after the other with common variables.
+# The blocks of a document run as one script, so that later ones see the variables of earlier ones.
 @pytest.mark.slow
 @pytest.mark.parametrize("document", documents(), ids=lambda path: path.stem)
 def test_python_in_documents_runs(document, tmp_path):
     blocks = python_blocks(document.read_text(encoding="utf-8"))
     script = tmp_path / "document.py"
     script.write_text("\n".join(blocks), encoding="utf-8")
-    done = run_program(script, tmp_path, PLIANT_SHORT="1")
-    assert done.returncode == 0, done.stderr
+    result = run_program(script, tmp_path, PLIANT_SHORT="1")
+    assert result.returncode == 0, result.stderr
 
 
 @pytest.mark.parametrize("document", ["docs/rust.md", "rust/core/README.md"])
 def test_rust_in_documents_is_the_program_that_is_tested(document):
     """Compare the Rust code line by line with the example in lib.rs, a documentation test."""
     crate = (ROOT / "rust" / "core" / "src" / "lib.rs").read_text(encoding="utf-8").split("```")[1]
-    shown = [line[4:] for line in crate.splitlines()[1:] if not line.startswith("//! #")]
+    expected = [line[4:] for line in crate.splitlines()[1:] if not line.startswith("//! #")]
     text = (ROOT / document).read_text(encoding="utf-8").split("```rust\n")[1].split("```")[0]
-    told = iter([line.strip() for line in text.splitlines()])
-    missing = [line for line in shown if line.strip() and line.strip() not in told]
+    lines = iter([line.strip() for line in text.splitlines()])
+    missing = [line for line in expected if line.strip() and line.strip() not in lines]
     assert not missing, f"not in {document}, in this order: {missing}"
 
 
@@ -105,56 +105,56 @@ EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
 def test_gallery_is_of_this_example(example):
-    number, kept = example.stem[:2], ROOT / "docs" / "gallery" / f"{example.stem}.txt"
-    assert kept.exists(), f"{example.name} is not in the gallery: make gallery"
-    digest, *said = kept.read_text(encoding="utf-8").splitlines()
-    now = hashlib.sha256(example.read_bytes()).hexdigest()[:16]
-    assert digest == now, f"{example.name} changed since: make gallery ARGS={number}"
-    assert said, "it prints nothing"
+    number, file = example.stem[:2], ROOT / "docs" / "gallery" / f"{example.stem}.txt"
+    assert file.exists(), f"{example.name} is not in the gallery: make gallery"
+    digest, *output = file.read_text(encoding="utf-8").splitlines()
+    current = hashlib.sha256(example.read_bytes()).hexdigest()[:16]
+    assert digest == current, f"{example.name} changed since: make gallery ARGS={number}"
+    assert output, "it prints nothing"
 
 
-#: Examples whose output is compared with the gallery: they take a second or two, and their output
-#: does not depend on the machine.
-AGAIN = ("01", "02", "03", "04", "05", "06", "07", "08", "09", "11", "13", "14", "15", "16")
+#: Numbers of examples whose output is compared with the gallery: they take a second or two, and
+#: their output does not depend on the machine.
+COMPARED = ("01", "02", "03", "04", "05", "06", "07", "08", "09", "11", "13", "14", "15", "16")
 SHORT = [
-    pytest.param(path, id=path.stem, marks=pytest.mark.full if path.stem[:2] in AGAIN else ())
+    pytest.param(path, id=path.stem, marks=pytest.mark.full if path.stem[:2] in COMPARED else ())
     for path in EXAMPLES
 ]
 
 
-# PLIANT_SHORT=1 selects the shortest run that still does everything once. Examples in AGAIN are run
-# in full by another test.
+# PLIANT_SHORT=1 selects the shortest run that still does everything once. Another test runs the
+# examples in COMPARED in full.
 @pytest.mark.slow
 @pytest.mark.parametrize("example", SHORT)
 def test_example_runs(example, tmp_path):
-    done = run_program(example, tmp_path, PLIANT_SHORT="1")
-    assert done.returncode == 0, done.stderr
+    result = run_program(example, tmp_path, PLIANT_SHORT="1")
+    assert result.returncode == 0, result.stderr
 
 
 NUMBER = re.compile(r"[-+−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 
 
-def near(kept: str, now: str) -> bool:
-    """Return True if two printed numbers agree: within 5 %, or within one of the last digit."""
-    x, y = (float(text.replace("−", "-")) for text in (kept, now))
-    digit = 10.0 ** -len(kept.partition(".")[2].partition("e")[0])
+def agrees(first: str, second: str) -> bool:
+    """Return True if two printed numbers agree to 5 %, or to one unit of the last digit."""
+    x, y = (float(text.replace("−", "-")) for text in (first, second))
+    digit = 10.0 ** -len(first.partition(".")[2].partition("e")[0])
     return abs(x - y) <= max(0.05 * abs(x), 1.01 * digit)
 
 
-# The test of digests detects a changed example; this test detects changed behaviour.
+# The digest of the gallery detects a changed example; this test detects changed behaviour.
 @pytest.mark.slow
-@pytest.mark.parametrize("number", AGAIN)
+@pytest.mark.parametrize("number", COMPARED)
 def test_gallery_is_of_this_law(number, tmp_path):
     (example,) = (ROOT / "examples").glob(f"{number}_*.py")
-    kept = (ROOT / "docs" / "gallery" / f"{example.stem}.txt").read_text(encoding="utf-8")
-    done = run_program(example, tmp_path, COLUMNS="100")
-    assert done.returncode == 0, done.stderr
-    told = [kept.split("\n", 1)[1], done.stdout]
-    words = [NUMBER.sub("#", text).split() for text in told]
-    numbers = [NUMBER.findall(text) for text in told]
-    stale = f"{example.name} says something else now: make gallery ARGS={number}\n{done.stdout}"
-    assert words[0] == words[1], stale
-    assert all(near(a, b) for a, b in zip(*numbers, strict=True)), stale
+    stored = (ROOT / "docs" / "gallery" / f"{example.stem}.txt").read_text(encoding="utf-8")
+    result = run_program(example, tmp_path, COLUMNS="100")
+    assert result.returncode == 0, result.stderr
+    outputs = [stored.split("\n", 1)[1], result.stdout]
+    tokens = [NUMBER.sub("#", text).split() for text in outputs]
+    numbers = [NUMBER.findall(text) for text in outputs]
+    stale = f"{example.name} says something else now: make gallery ARGS={number}\n{result.stdout}"
+    assert tokens[0] == tokens[1], stale
+    assert all(agrees(a, b) for a, b in zip(*numbers, strict=True)), stale
 
 
 def test_vector_types_are_seen_by_the_module_that_enters_their_code_alone():
@@ -180,8 +180,8 @@ def test_memory_of_numpy_arrays_is_lent_by_unsafe_functions_alone():
     assert all(s.startswith(("unsafe fn", "pub(crate) unsafe fn")) for s in lenders), lenders
 
 
-def built(pattern: str) -> Path:
-    """Return the path of the file that `make wheel` has built."""
+def built_file(pattern: str) -> Path:
+    """Return the path of the file in build/wheels that matches the pattern; skip without one."""
     files = sorted((ROOT / "build" / "wheels").glob(pattern))
     if not files:
         pytest.skip(f"no {pattern} in build/wheels: run `make wheel`")
@@ -190,7 +190,7 @@ def built(pattern: str) -> Path:
 
 @pytest.fixture
 def wheel() -> Path:
-    return built("pliant-*.whl")
+    return built_file("pliant-*.whl")
 
 
 def test_wheel_is_complete_and_small(wheel):
@@ -212,9 +212,9 @@ def test_wheel_is_complete_and_small(wheel):
 def test_a_wheel_for_others_names_no_folder_of_its_builder(wheel):
     if not os.environ.get("CI"):
         pytest.skip("only CI builds wheels for others")
-    opened = zipfile.ZipFile(wheel)
-    (module,) = [name for name in opened.namelist() if name.endswith(".so")]
-    binary = opened.read(module)
+    archive = zipfile.ZipFile(wheel)
+    (module,) = [name for name in archive.namelist() if name.endswith(".so")]
+    binary = archive.read(module)
     assert str(Path.home()).encode() + b"/" not in binary
     assert str(ROOT).encode() not in binary
 
@@ -225,26 +225,26 @@ def test_notices_are_of_the_crates_that_are_linked():
         import notices
     finally:
         sys.path.pop(0)
-    said = (ROOT / "THIRD_PARTY_LICENSES").read_text(encoding="utf-8")
-    assert said == notices.notices(), "the crates changed: make notices"
-    assert "Toshiki Teramura" in said
+    licenses = (ROOT / "THIRD_PARTY_LICENSES").read_text(encoding="utf-8")
+    assert licenses == notices.notices(), "the crates changed: make notices"
+    assert "Toshiki Teramura" in licenses
 
 
 def test_wheel_works_away_from_the_sources(wheel, tmp_path):
     zipfile.ZipFile(wheel).extractall(tmp_path)
     code = "import pliant; print(pliant.__file__, pliant.__version__)"
-    done = run("-c", code, cwd=tmp_path, PYTHONPATH=str(tmp_path))
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith(str(tmp_path))
+    result = run("-c", code, cwd=tmp_path, PYTHONPATH=str(tmp_path))
+    assert result.returncode == 0, result.stderr
+    assert result.stdout.startswith(str(tmp_path))
 
 
 def test_source_distribution_can_be_built(wheel):
-    archive = built("pliant-*.tar.gz")
-    with tarfile.open(archive) as opened:
-        names = {name.partition("/")[2] for name in opened.getnames()}
-    needed = {"Cargo.toml", "Cargo.lock", "pyproject.toml", "LICENSE", "README.md"}
-    needed |= {".cargo/config.toml", "THIRD_PARTY_LICENSES"}
+    archive = built_file("pliant-*.tar.gz")
+    with tarfile.open(archive) as tar:
+        names = {name.partition("/")[2] for name in tar.getnames()}
+    required = {"Cargo.toml", "Cargo.lock", "pyproject.toml", "LICENSE", "README.md"}
+    required |= {".cargo/config.toml", "THIRD_PARTY_LICENSES"}
     crates = {
         f"rust/{crate}/{file}" for crate in ("core", "py") for file in ("Cargo.toml", "src/lib.rs")
     }
-    assert needed | crates | {"python/pliant/py.typed"} <= names
+    assert required | crates | {"python/pliant/py.typed"} <= names

@@ -48,13 +48,13 @@ def test_bench_takes_any_urdf(latency, law, tmp_path, capsys):
     file = tmp_path / "arm.urdf"
     body = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
     joint = '<joint name="j{0}" type="{1}"><parent link="l{0}"/><child link="l{2}"/>{3}</joint>'
-    places = '<origin xyz="0.3 0 0"/><axis xyz="0 0 1"/>'
-    limit = places + '<limit lower="-1" upper="2" effort="3" velocity="1"/>'
+    placement = '<origin xyz="0.3 0 0"/><axis xyz="0 0 1"/>'
+    limit = placement + '<limit lower="-1" upper="2" effort="3" velocity="1"/>'
     links = [f'<link name="l{i}">{body}</inertial></link>' for i in range(4)]
     joints = [
-        joint.format(0, "continuous", 1, places),
+        joint.format(0, "continuous", 1, placement),
         joint.format(1, "revolute", 2, limit),
-        joint.format(2, "fixed", 3, places),
+        joint.format(2, "fixed", 3, placement),
     ]
     file.write_text(f'<robot name="two">{"".join(links + joints)}</robot>')
     axes = ["--soft", "y", "--axes", "xy"]
@@ -86,7 +86,7 @@ def test_bench_moves_through_the_ranges(latency):
 
 
 @pytest.mark.parametrize(
-    ("flags", "said"),
+    ("flags", "message"),
     [
         (["--calls", "3"], "at least 100"),
         (["--robot", "so999"], "so101"),
@@ -99,9 +99,9 @@ def test_bench_moves_through_the_ranges(latency):
         (["--tip", "tool"], "--tip tool belongs to --urdf"),
     ],
 )
-def test_what_bench_cannot_do_is_explained(latency, flags, said, capsys):
+def test_invalid_arguments_of_bench_are_explained(latency, flags, message, capsys):
     assert latency.main([*flags]) == 2
-    assert said in capsys.readouterr().err
+    assert message in capsys.readouterr().err
 
 
 def test_help_calls_files_and_arms_by_their_names(latency, capsys):

@@ -1,6 +1,6 @@
 """Experiments with wrong assumptions: the controller must not get the plant's true parameters.
 
-Each experiment, example or documented row runs up to its first tick of physics; then its plant is
+Each experiment, example or documented row runs up to its first physics step. Then its plant is
 compared with the inputs of its controller, arm or identification.
 """
 
@@ -12,7 +12,7 @@ import pytest
 
 pytest.importorskip("mujoco", reason="plants are simulated: extra sim")
 
-from mismatch import DRAWN, Mismatch, Parameters, under
+from mismatch import RANDOM, Mismatch, Parameters, under
 
 import pliant
 from experiments import (
@@ -42,14 +42,14 @@ EXAMPLES = Path(__file__).parents[1] / "examples"
 GEARS = campaign.REAL_GEARS["arm7"]
 
 
-class Built(Exception):
-    """Raised at the first tick of physics, when plant and controller have been built."""
+class FirstStep(Exception):
+    """Raised in the first physics step, when plant and controller exist."""
 
 
 def build(gap, run):
-    """Run until the first tick of physics, and compare plant and assumptions with `gap`."""
-    begins = patch.object(Plant, "advance", side_effect=Built)
-    with gap, begins, pytest.raises(Built):
+    """Run until the first physics step, and compare plant and assumptions with `gap`."""
+    begins = patch.object(Plant, "advance", side_effect=FirstStep)
+    with gap, begins, pytest.raises(FirstStep):
         run()
     for arm in gap.consumers:
         if isinstance(arm, Arm):
@@ -69,11 +69,11 @@ def promise(disturbance):
 
 def contact_gap(case):
     gears = campaign.REAL_GEARS[case.arm] if case.gears else None
-    drawn = {"friction": DRAWN, "damping": DRAWN, **({"kp": DRAWN} if case.kp else {})}
-    late = sum(case.delay) / contacts.RATE
+    random_values = {"friction": RANDOM, "damping": RANDOM, **({"kp": RANDOM} if case.kp else {})}
+    delay = sum(case.delay) / contacts.RATE
     return Mismatch(
-        plant=Parameters(gears=gears, delay=late),
-        assumed=Parameters(gears=gears if case.identified else None, delay=late, **drawn),
+        plant=Parameters(gears=gears, delay=delay),
+        assumed=Parameters(gears=gears if case.identified else None, delay=delay, **random_values),
     )
 
 
@@ -83,7 +83,7 @@ def stress_gap(conditions):
 
 
 def cases():
-    """Return name, mismatch and function to run of each case."""
+    """Yield the cases: name, stated mismatch, and function that runs the experiment."""
     for options in (
         {"load": lifecycle.LOAD},
         {"load": lifecycle.LOAD, "over_table": True, "ticks": 1},
@@ -117,39 +117,42 @@ def cases():
         yield f"float {kp}", plant(kp=kp), lambda kp=kp: hand_guiding.guide("so101", 0, kp)
     for arm in teaching.ARMS:
         yield f"teach {arm}", plant(kp=0.8), lambda arm=arm: teaching.replay(arm, 0.8, True, 1.0)
-    for one in (*campaign.DISTURBANCES, *campaign.gears("arm7")):
-        if one.wrong or one.payload or (one.gears is not None and not one.gears_known):
-            gap = plant(kp=one.kp, payload=one.payload, gears=one.gears)
-            yield f"campaign {one.name}", gap, lambda one=one: promise(one)
+    for each in (*campaign.DISTURBANCES, *campaign.gears("arm7")):
+        if each.wrong or each.payload or (each.gears is not None and not each.gears_known):
+            gap = plant(kp=each.kp, payload=each.payload, gears=each.gears)
+            yield f"campaign {each.name}", gap, lambda each=each: promise(each)
     for case in (contacts.MAIN, *contacts.OTHERS):
         if case.friction or case.kp:
             gap, bench = contact_gap(case), contacts.Bench(case)
             yield f"contact {case.name}", gap, lambda bench=bench: bench.contact(0)
-    for name, one in presets.UNDER.items():
+    for name, each in presets.UNDER.items():
         if "assumed" not in name:
             continue
         for preset, (law, scene) in presets.SCENES.items():
-            yield f"{preset} {name}", under(one), lambda o=one, law=law, s=scene: s(law, o)
+            yield f"{preset} {name}", under(each), lambda o=each, law=law, s=scene: s(law, o)
     for entry in goals._ENTRIES:
-        tried = any(second is not None for _, second in entry.goals.values())
-        for one in (goals.UNCERTAIN[0], goals.UNCERTAIN[2]) if tried else ():
-            yield f"goals {entry.scenario}", under(one), lambda e=entry, o=one: e.measure(o)
-    for one in goals.rate_conditions():
-        if one.believed == 1.0:
+        has_second = any(second is not None for _, second in entry.goals.values())
+        for each in (goals.UNCERTAIN[0], goals.UNCERTAIN[2]) if has_second else ():
+            yield f"goals {entry.scenario}", under(each), lambda e=entry, o=each: e.measure(o)
+    for each in goals.rate_conditions():
+        if each.assumed_ratio == 1.0:
             continue
         yield (
-            f"rates {one}",
-            under(one),
-            lambda one=one: disturbances.drag(controllers.cap(), DRAG_15N, conditions=one),
+            f"rates {each}",
+            under(each),
+            lambda each=each: disturbances.drag(controllers.cap(), DRAG_15N, conditions=each),
         )
-    for one in (Conditions(gears=GEARS), Conditions(gears=GEARS, gears_known=True, believed=0.7)):
-        yield f"gears {one.believed}", under(one), lambda one=one: goals.door("door")(one)
-    for name, one in comparison._stresses(NOMINAL).items():
+    for each in (
+        Conditions(gears=GEARS),
+        Conditions(gears=GEARS, gears_known=True, assumed_ratio=0.7),
+    ):
+        yield f"gears {each.assumed_ratio}", under(each), lambda each=each: goals.door("door")(each)
+    for name, each in comparison._stresses(NOMINAL).items():
         if name != "stall":
             yield (
                 f"gears {name}",
-                stress_gap(one),
-                lambda o=one: disturbances.drag(controllers.cap(), conditions=o),
+                stress_gap(each),
+                lambda o=each: disturbances.drag(controllers.cap(), conditions=o),
             )
     for name, kp, friction, _ in steps.DISTURBED:
         if (kp, friction) != (1.0, 1.0):
@@ -161,16 +164,16 @@ def cases():
                 gap,
                 lambda s=step, law=law, o=options: steps.run("so101", s, law, o),
             )
-    wrong = {"kp": 1.25, "friction": 1.4, "damping": 1.3, "delay": 0.02}
-    yield "identified, rows", plant(**wrong), identification.rows
+    scales = {"kp": 1.25, "friction": 1.4, "damping": 1.3, "delay": 0.02}
+    yield "identified, rows", plant(**scales), identification.rows
     believing = identification.AssumedTable(
-        table=identification.believed(pliant.robots.arm7()),
+        table=identification.initial_table(pliant.robots.arm7()),
         delay=(1, 1),
         plant=identification.WRONG,
     )
     yield (
         "a wrong table",
-        plant(**wrong),
+        plant(**scales),
         lambda: doors.open_door(controllers.cap, conditions=believing),
     )
     for example, differs in {
@@ -185,12 +188,12 @@ def cases():
 CASES = list(cases())
 
 
-def test_no_row_has_lost_what_differs():
+def test_all_cases_are_listed():
     assert len(CASES) == 113
 
 
 @pytest.mark.parametrize(("gap", "run"), [case[1:] for case in CASES], ids=[c[0] for c in CASES])
-def test_what_is_assumed_wrongly_differs(gap, run):
+def test_wrong_assumptions_differ_from_the_plant(gap, run):
     build(gap, run)
 
 
@@ -211,8 +214,8 @@ def test_equal_sides_are_refused():
     "differs", [{"kp": 1.25}, {"friction": 0.7}, {"payload": 0.1}, {"delay": 0.01}]
 )
 def test_a_plant_that_is_as_assumed_is_noticed(differs):
-    said = pytest.raises(AssertionError, match=f"Plant: {next(iter(differs))} is .* stated is")
-    with said, plant(**differs):
+    failure = pytest.raises(AssertionError, match=f"Plant: {next(iter(differs))} is .* stated is")
+    with failure, plant(**differs):
         connected()
 
 
@@ -231,10 +234,10 @@ def test_a_drive_that_hands_out_the_plant_s_stiffness_is_noticed():
 
 def test_a_controller_with_the_true_values_is_detected():
     model = pliant.robots.so101()
-    told = pliant.robots.so101(payload=(0.1, (0.0, 0.0, 0.0)))
+    true_model = pliant.robots.so101(payload=(0.1, (0.0, 0.0, 0.0)))
     settings = pliant.Settings(task="xyz")
     for gap, controller in (
-        (plant(payload=0.1), pliant.Controller(told, settings)),
+        (plant(payload=0.1), pliant.Controller(true_model, settings)),
         (plant(delay=0.02), pliant.Controller(model, settings.replace(delay=0.02))),
         (
             plant(friction=0.5),

@@ -51,9 +51,9 @@ def clone(tmp_path, monkeypatch):
     return tmp_path
 
 
-def git(folder, *words):
+def git(folder, *arguments):
     names = ("-c", "user.name=A", "-c", "user.email=a@b.c", "-c", "commit.gpgsign=false")
-    subprocess.run(["git", *names, *words], cwd=folder, check=True)
+    subprocess.run(["git", *names, *arguments], cwd=folder, check=True)
 
 
 def change(path, before, after):
@@ -67,28 +67,28 @@ def version():
 
 
 def test_version_agrees_everywhere(clone):
-    now = version()
-    change(clone / "CITATION.cff", f"version: {now}", "version: 9.9.9")
+    current = version()
+    change(clone / "CITATION.cff", f"version: {current}", "version: 9.9.9")
     with pytest.raises(release_check.CheckError, match=r"CITATION.cff has 9\.9\.9"):
         release_check.versions()
 
 
 def date(clone, text):
-    heading, told = release_check.first_heading()
-    change(clone / "CHANGELOG.md", f"## [{heading}] - {told}", f"## [{heading}] - {text}")
+    heading, stated = release_check.first_heading()
+    change(clone / "CHANGELOG.md", f"## [{heading}] - {stated}", f"## [{heading}] - {text}")
 
 
 def test_tag_is_the_version_and_the_changelog_is_dated(clone):
-    now = version()
+    current = version()
     date(clone, "unreleased")
-    assert f"v{now} is the one to set" in release_check.tag("HEAD")
-    git(clone, "tag", f"v{now}")
+    assert f"v{current} is the one to set" in release_check.tag("HEAD")
+    git(clone, "tag", f"v{current}")
     with pytest.raises(release_check.CheckError, match="no date: 'unreleased'"):
         release_check.tag("HEAD")
     date(clone, "2026-01-31")
-    assert release_check.tag("HEAD") == f"v{now} is the version, of 2026-01-31"
+    assert release_check.tag("HEAD") == f"v{current} is the version, of 2026-01-31"
     git(clone, "tag", "v9.9.9")
-    with pytest.raises(release_check.CheckError, match=rf"v9\.9\.9, its version is v{now}"):
+    with pytest.raises(release_check.CheckError, match=rf"v9\.9\.9, its version is v{current}"):
         release_check.tag("HEAD")
 
 
@@ -108,7 +108,7 @@ def test_programs_of_the_workflow_have_a_version(clone, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("file", "before", "after", "told"),
+    ("file", "before", "after", "message"),
     [
         ("Cargo.toml", "[workspace.package]", "[workspace.packages]", "no entry workspace.package"),
         ("Cargo.toml", "[workspace", "[workspace\n", "Cargo.toml: "),
@@ -119,12 +119,12 @@ def test_programs_of_the_workflow_have_a_version(clone, monkeypatch):
         ("Cargo.lock", None, None, "Cargo.lock: .*No such file"),
     ],
 )
-def test_a_damaged_file_is_named(clone, file, before, after, told):
+def test_a_damaged_file_is_named(clone, file, before, after, message):
     if before is None:
         (clone / file).unlink()
     else:
         change(clone / file, before, after)
-    with pytest.raises(release_check.CheckError, match=told):
+    with pytest.raises(release_check.CheckError, match=message):
         release_check.versions()
 
 
@@ -134,18 +134,18 @@ def test_a_damaged_archive_or_bill_is_named(clone, tmp_path, monkeypatch):
     wheel.write_bytes(b"PK")
     with pytest.raises(release_check.CheckError, match="not a zip file"):
         release_check.contents(wheel)
-    with zipfile.ZipFile(wheel, "w") as opened:
-        opened.writestr("pliant/__init__.py", "")
+    with zipfile.ZipFile(wheel, "w") as archive:
+        archive.writestr("pliant/__init__.py", "")
     with pytest.raises(release_check.CheckError, match=r"0 of .*licenses/LICENSE"):
         release_check.contents(wheel)
-    for content, told in (
+    for content, message in (
         ("{", "pliant.cdx.json: "),
         ("{}", "no entry components"),
         (json.dumps({"components": [{}]}), "no entry name"),
         (json.dumps({"components": []}), "0 of compiled modules"),
     ):
         bill.write_text(content, encoding="utf-8")
-        with pytest.raises(release_check.CheckError, match=told):
+        with pytest.raises(release_check.CheckError, match=message):
             release_check.materials(bill, wheel)
 
 

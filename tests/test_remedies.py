@@ -35,7 +35,7 @@ MODULES = [pliant] + [
         *("emulator", "servo", "sim", "teach", "view"),
     )
 ]
-#: By variable name in error texts: classes of the objects that it stands for.
+#: Variable names in error texts, and the classes of the objects that they stand for.
 OBJECTS = {
     "arm": import_module("pliant.arm").Arm,
     "controller": pliant.Controller,
@@ -54,18 +54,18 @@ OBJECTS = {
     "found": import_module("pliant.identify").GravityCapture,
     "array": np.ma.MaskedArray,
 }
-#: Words that follow "pliant" in the sentences of error texts and are not commands.
-WORDS = {"arm", "counts", "does", "motion", "reads", "task", "was"}
-#: `UNITS`: texts in brackets that are units or markup tags of rich, not tables of a configuration.
-#: `BESIDE_SECTION`: words that may follow the name of a table in a sentence.
+#: Words after "pliant" in error texts that are not commands.
+NOT_COMMANDS = {"arm", "counts", "does", "motion", "reads", "task", "was"}
+#: Units and markup tags of rich, which are in brackets like the tables of a configuration.
 UNITS = {"m", "mm", "ms", "kg", "rad", "s", "bold", "dim", "green", "red", "yellow"}
+#: Words that may follow the name of a table in a sentence.
 BESIDE_SECTION = {"a", "and", "in", "of", "the"}
 #: Values that replace the placeholders of a command.
-STAND_INS = {"ARM": "so101", "OLD:NEW": "1:2"}
+PLACEHOLDERS = {"ARM": "so101", "OLD:NEW": "1:2"}
 
 
 def python_texts(path: Path) -> list[str]:
-    """Return the texts in a module, without docstrings; fields of f-strings become "..."."""
+    """Return the string literals of a module except docstrings; f-string fields become "..."."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
     docs, parts, texts = set(), set(), []
     for node in ast.walk(tree):
@@ -105,28 +105,31 @@ RUST = re.compile(
 def rust_texts(path: Path) -> list[str]:
     """Return the string literals of a Rust file that are sentences; tests are left out."""
     code = path.read_text(encoding="utf-8").split("#[cfg(test)]")[0]
-    found = [match["text"] for match in RUST.finditer(code) if match["text"] is not None]
-    joined = [re.sub(r"\\\n\s*", "", text).replace('\\"', '"') for text in found]
-    return [re.sub(r"\{[^{}]*\}", "…", text) for text in joined if " " in text]
+    literals = [match["text"] for match in RUST.finditer(code) if match["text"] is not None]
+    texts = [re.sub(r"\\\n\s*", "", text).replace('\\"', '"') for text in literals]
+    return [re.sub(r"\{[^{}]*\}", "…", text) for text in texts if " " in text]
 
 
 @cache
 def texts() -> dict[str, str]:
-    """Return all texts of the package, and the file of each text."""
+    """Return the string literals of the package, with the file of each."""
     python = sorted((ROOT / "python" / "pliant").rglob("*.py"))
     rust = sorted(
         path for crate in ("core", "py") for path in (ROOT / "rust" / crate / "src").rglob("*.rs")
     )
-    found = {}
-    for paths, read in ((python, python_texts), (rust, rust_texts)):
+    result = {}
+    for paths, extract in ((python, python_texts), (rust, rust_texts)):
         for path in paths:
-            for text in read(path):
-                found[text] = path.relative_to(ROOT).as_posix()
-    return found
+            for text in extract(path):
+                result[text] = path.relative_to(ROOT).as_posix()
+    return result
 
 
-def wrong(find, judge) -> list[str]:
-    """Return the texts with a remedy, found by `find`, for which `judge` returns False."""
+def invalid_remedies(find, judge) -> list[str]:
+    """Return the texts that name a remedy that does not exist.
+
+    `find` returns the remedies in a text, `judge` whether one exists.
+    """
     return [
         f"{file}: {remedy!r} in {text!r}"
         for text, file in texts().items()
@@ -135,12 +138,12 @@ def wrong(find, judge) -> list[str]:
     ]
 
 
-def command_of(words: list[str]) -> tuple[str, list[str]]:
+def command_of(tokens: list[str]) -> tuple[str, list[str]]:
     """Return the command at the beginning of a list of words ("" if none), and the other words."""
     for size in (2, 1):
-        if " ".join(words[:size]) in COMMANDS:
-            return " ".join(words[:size]), words[size:]
-    return "", words
+        if " ".join(tokens[:size]) in COMMANDS:
+            return " ".join(tokens[:size]), tokens[size:]
+    return "", tokens
 
 
 @cache
@@ -174,91 +177,95 @@ def commands(text: str, _file: str) -> list[str]:
     return re.findall(r"\bpliant ((?:[a-z]+)(?: (?:--[a-z-]+|[a-z]+|[A-Z:]+)(?=[ `:]|$))*)", text)
 
 
-def is_command(words: str) -> bool:
-    """Return True if a command accepts these words: its flags exist, and its first argument."""
-    command, rest = command_of(words.split())
-    if words.split(maxsplit=1)[0] in WORDS:
+def is_command(text: str) -> bool:
+    """Return True if a command exists with the flags and the first argument in this text."""
+    command, arguments = command_of(text.split())
+    if text.split(maxsplit=1)[0] in NOT_COMMANDS:
         return True
     if not command:
         return False
-    named = [word for word in rest if word.startswith("--")]
-    if not set(named) <= flags(command):
+    flag_names = [token for token in arguments if token.startswith("--")]
+    if not set(flag_names) <= flags(command):
         return False
     choices = next((a.choices for a in parser(command)._actions if a.choices), None)
-    return choices is None or not rest or rest[0] in choices
+    return choices is None or not arguments or arguments[0] in choices
 
 
 def test_commands_exist_with_their_flags():
-    found = [words for text, file in texts().items() for words in commands(text, file)]
-    assert len([words for words in found if command_of(words.split())[0]]) > 20
-    assert wrong(commands, is_command) == []
+    candidates = [command for text, file in texts().items() for command in commands(text, file)]
+    assert len([command for command in candidates if command_of(command.split())[0]]) > 20
+    assert invalid_remedies(commands, is_command) == []
 
 
 def quoted_commands(text: str, _file: str) -> list[str]:
-    return [words for words in re.findall(r"`pliant ([^`]+)`", text) if "…" not in words]
+    return [command for command in re.findall(r"`pliant ([^`]+)`", text) if "…" not in command]
 
 
-def is_accepted(words: str) -> bool:
-    """Return True if a command parses as written; it is not executed."""
-    command, rest = command_of([STAND_INS.get(word, word) for word in words.split()])
+def is_accepted(text: str) -> bool:
+    """Return True if the parser of a command accepts it as written; the command does not run."""
+    command, arguments = command_of([PLACEHOLDERS.get(token, token) for token in text.split()])
     if not command:
         return False
     with pytest.MonkeyPatch.context() as patch:
-        module, taken = import_module(COMMANDS[command][0]), []
+        module, actions = import_module(COMMANDS[command][0]), []
         run = module.run
 
         def pretend(*args, **keywords):
-            taken.append((args, keywords))
+            actions.append((args, keywords))
 
         pretend.__signature__ = inspect.signature(run, eval_str=True)
         pretend.__doc__, pretend.__name__ = run.__doc__, run.__name__
         pretend.__annotations__ = inspect.get_annotations(run, eval_str=True)
         patch.setattr(module, "run", pretend)
-        needed = [a for a in parser(command)._actions if not a.option_strings and a.required]
-        given = [word for word in rest if not word.startswith("--") and not re.match(r"\d+:", word)]
-        cli_main([*command.split(), *rest, *("so101" for _ in needed[len(given) :])])
-        return bool(taken)
+        required = [a for a in parser(command)._actions if not a.option_strings and a.required]
+        positionals = [
+            token
+            for token in arguments
+            if not token.startswith("--") and not re.match(r"\d+:", token)
+        ]
+        cli_main([*command.split(), *arguments, *("so101" for _ in required[len(positionals) :])])
+        return bool(actions)
 
 
 def test_quoted_commands_are_taken_by_the_shell(capsys):
-    assert wrong(quoted_commands, is_accepted) == [], capsys.readouterr().err
+    assert invalid_remedies(quoted_commands, is_accepted) == [], capsys.readouterr().err
 
 
 def flags_of(text: str, file: str) -> list[tuple[str, str]]:
     """Return the flags in a text, each with its command, or "" if it may be any command."""
     path = file.removeprefix("python/pliant/cli/").removesuffix(".py")
-    own = path.replace("/", " ") if path != file.removesuffix(".py") else ""
-    bare = re.sub(r"`[^`]*`|pliant [a-z]+ [^;,:.]*", "", text)
+    command = path.replace("/", " ") if path != file.removesuffix(".py") else ""
+    plain = re.sub(r"`[^`]*`|pliant [a-z]+ [^;,:.]*", "", text)
     return [
-        (flag, own if own in COMMANDS else "")
-        for flag in re.findall(r"(?<![\w-])--[a-z][a-z-]*", bare)
+        (flag, command if command in COMMANDS else "")
+        for flag in re.findall(r"(?<![\w-])--[a-z][a-z-]*", plain)
     ]
 
 
 def is_flag(remedy: tuple[str, str]) -> bool:
     flag, command = remedy
-    own = {"--version"} | {flag for name in [command] if name for flag in flags(name)}
-    every = {flag for name in COMMANDS for flag in flags(name)} | {"--version", "--python"}
-    return flag in (own if command else every)
+    allowed = {"--version"} | {flag for name in [command] if name for flag in flags(name)}
+    all_flags = {flag for name in COMMANDS for flag in flags(name)} | {"--version", "--python"}
+    return flag in (allowed if command else all_flags)
 
 
 def test_flags_exist():
-    assert wrong(flags_of, is_flag) == []
+    assert invalid_remedies(flags_of, is_flag) == []
 
 
 def members(name: str) -> list[object]:
-    """Return all members with a name: of a public module, or of a class in a public module."""
-    found = [getattr(module, name) for module in MODULES if hasattr(module, name)]
+    """Return the objects with this name in the public modules and in their classes."""
+    matches = [getattr(module, name) for module in MODULES if hasattr(module, name)]
     classes = {
-        thing for module in MODULES for thing in vars(module).values() if isinstance(thing, type)
+        item for module in MODULES for item in vars(module).values() if isinstance(item, type)
     }
     lazy = {
-        getattr(module, word)
+        getattr(module, exported)
         for module in MODULES
-        for word in getattr(module, "__all__", ())
-        if isinstance(getattr(module, word, None), type)
+        for exported in getattr(module, "__all__", ())
+        if isinstance(getattr(module, exported, None), type)
     }
-    return found + [getattr(thing, name) for thing in classes | lazy if hasattr(thing, name)]
+    return matches + [getattr(item, name) for item in classes | lazy if hasattr(item, name)]
 
 
 def resolve(dotted: str) -> list[object]:
@@ -267,27 +274,27 @@ def resolve(dotted: str) -> list[object]:
     if head == "pliant" and tail:
         with contextlib.suppress(ImportError):
             import_module(f"pliant.{tail[0]}")
-        found: list[object] = [pliant]
+        owners: list[object] = [pliant]
     elif head in OBJECTS:
-        found = [OBJECTS[head]]
+        owners = [OBJECTS[head]]
     else:
-        found = members(head)
+        owners = members(head)
     for name in tail:
-        fields = {id(thing): getattr(thing, "__annotations__", {}) for thing in found}
-        found = [
-            getattr(thing, name, fields[id(thing)].get(name))
-            for thing in found
-            if hasattr(thing, name) or name in fields[id(thing)]
+        fields = {id(item): getattr(item, "__annotations__", {}) for item in owners}
+        owners = [
+            getattr(item, name, fields[id(item)].get(name))
+            for item in owners
+            if hasattr(item, name) or name in fields[id(item)]
         ]
-    return found
+    return owners
 
 
-def keywords(thing: object) -> set[str]:
+def keywords(item: object) -> set[str]:
     """Return the keywords that a callable takes."""
-    if thing is pliant.connect:
+    if item is pliant.connect:
         return {*ARM_OPTIONS, *FILE_OPTIONS, *PLANT_OPTIONS, "q", "real_time"}
     try:
-        return set(inspect.signature(thing).parameters)
+        return set(inspect.signature(item).parameters)
     except (TypeError, ValueError):
         return set()
 
@@ -303,21 +310,21 @@ def calls(text: str, _file: str) -> list[tuple[str, str]]:
     return [call for call in CALL.findall(text) if call[0] != "Command"]
 
 
-def takes(thing: object, arguments: str) -> bool:
+def takes(item: object, arguments: str) -> bool:
     """Return True if a function accepts these arguments; "..." stands for any arguments."""
-    if not callable(thing):
+    if not callable(item):
         return False
     flat = re.sub(r"\([^()]*\)|\[[^\[\]]*\]|\"[^\"]*\"", "0", arguments)
-    given = [part.strip() for part in flat.split(",") if part.strip()]
-    named = {part.split("=")[0].strip() for part in given if re.match(r"[a-z_]+\s?=", part)}
-    if not named <= keywords(thing):
+    parts = [part.strip() for part in flat.split(",") if part.strip()]
+    keyword_names = {part.split("=")[0].strip() for part in parts if re.match(r"[a-z_]+\s?=", part)}
+    if not keyword_names <= keywords(item):
         return False
-    if "..." in flat or "…" in flat or thing is pliant.connect:
+    if "..." in flat or "…" in flat or item is pliant.connect:
         return True
-    values = [None for part in given if "=" not in part]
-    itself = [None] if needs_object(thing) else []
+    values = [None for part in parts if "=" not in part]
+    itself = [None] if needs_object(item) else []
     try:
-        inspect.signature(thing).bind(*itself, *values, **dict.fromkeys(named))
+        inspect.signature(item).bind(*itself, *values, **dict.fromkeys(keyword_names))
     except TypeError:
         return False
     except ValueError:
@@ -325,23 +332,23 @@ def takes(thing: object, arguments: str) -> bool:
     return True
 
 
-def needs_object(thing: object) -> bool:
-    """Return True if a function of a class is a method that needs an object."""
-    if inspect.isfunction(thing):
-        return "." in thing.__qualname__
-    return inspect.ismethoddescriptor(thing) and type(thing).__name__ == "method_descriptor"
+def needs_object(item: object) -> bool:
+    """Return True if a function must be called on an instance of a class."""
+    if inspect.isfunction(item):
+        return "." in item.__qualname__
+    return inspect.ismethoddescriptor(item) and type(item).__name__ == "method_descriptor"
 
 
 def is_callable_so(call: tuple[str, str]) -> bool:
     """Return True if a function or class with this name accepts these arguments."""
     name, arguments = call
-    return any(takes(thing, arguments) for thing in resolve(name))
+    return any(takes(item, arguments) for item in resolve(name))
 
 
 def test_calls_exist_with_their_keywords():
-    found = [call for text, file in texts().items() for call in calls(text, file)]
-    assert len(found) > 60
-    assert wrong(calls, is_callable_so) == []
+    candidates = [call for text, file in texts().items() for call in calls(text, file)]
+    assert len(candidates) > 60
+    assert invalid_remedies(calls, is_callable_so) == []
 
 
 OPEN = re.compile(
@@ -350,9 +357,11 @@ OPEN = re.compile(
 
 
 def examples(text: str, _file: str) -> list[str]:
-    """Return the complete calls in a text that can be run without an object of the user."""
-    found = [f"{name}({arguments})" for name, arguments in CALL.findall(text)]
-    return [call for call in found if not OPEN.search(call) and not is_method(call.split("(")[0])]
+    """Return the complete calls in a text that run without an object of the user."""
+    candidates = [f"{name}({arguments})" for name, arguments in CALL.findall(text)]
+    return [
+        call for call in candidates if not OPEN.search(call) and not is_method(call.split("(")[0])
+    ]
 
 
 def is_method(name: str) -> bool:
@@ -390,9 +399,9 @@ def runs(call: str) -> bool:
 
 
 def test_examples_run():
-    found = [call for text, file in texts().items() for call in examples(text, file)]
-    assert len(found) > 8
-    assert wrong(examples, runs) == []
+    candidates = [call for text, file in texts().items() for call in examples(text, file)]
+    assert len(candidates) > 8
+    assert invalid_remedies(examples, runs) == []
 
 
 def accepted(text: str, _file: str) -> list[str]:
@@ -400,44 +409,44 @@ def accepted(text: str, _file: str) -> list[str]:
 
 
 def is_risk(risk: str) -> bool:
-    """Return True if a setting exists that accepts the risk with this name."""
+    """Return True if `Settings` or `ContactEstimator` has a flag of this name."""
     controller = pliant.Controller(pliant.robots.so101(), pliant.Settings(task="xyz"))
-    for take in (
+    for make in (
         lambda: pliant.Settings(**{risk: True}),
         lambda: pliant.ContactEstimator(controller, **{risk: True}),
     ):
         with contextlib.suppress(pliant.ConfigError, TypeError):
-            take()
+            make()
             return True
     return False
 
 
 def test_risks_that_texts_name_can_be_accepted():
     assert [risk for text, file in texts().items() for risk in accepted(text, file)]
-    assert wrong(accepted, is_risk) == []
+    assert invalid_remedies(accepted, is_risk) == []
 
 
 @cache
 def every_keyword() -> set[str]:
     """Return the keywords of all public callables."""
-    found = set(keywords(pliant.connect)) | {"python"}
+    names = set(keywords(pliant.connect)) | {"python"}
     for module in MODULES:
         for name in {*vars(module), *getattr(module, "__all__", ())}:
-            thing = getattr(module, name, None)
-            if not callable(thing) or name.startswith("_"):
+            item = getattr(module, name, None)
+            if not callable(item) or name.startswith("_"):
                 continue
-            found |= keywords(thing)
-            if isinstance(thing, type):
-                found |= {
-                    key for part in vars(thing).values() if callable(part) for key in keywords(part)
+            names |= keywords(item)
+            if isinstance(item, type):
+                names |= {
+                    key for part in vars(item).values() if callable(part) for key in keywords(part)
                 }
-                found |= {
+                names |= {
                     key
-                    for name in dir(thing)
-                    if not name.startswith("_") and callable(getattr(thing, name))
-                    for key in keywords(getattr(thing, name))
+                    for name in dir(item)
+                    if not name.startswith("_") and callable(getattr(item, name))
+                    for key in keywords(getattr(item, name))
                 }
-    return found
+    return names
 
 
 def is_keyword(name: str) -> bool:
@@ -446,16 +455,16 @@ def is_keyword(name: str) -> bool:
 
 
 def bare_keywords(text: str, file: str) -> list[str]:
-    # Ignore what is not a keyword argument: attributes of a URDF, and the axis in `--soft y=2`.
+    # Attributes of a URDF, and the axis in `--soft y=2`, are not keyword arguments.
     if file.startswith("rust/core/src/model/") or "--soft" in text:
         return []
     return re.findall(r"(?<![\w.{])([a-z_]{2,})=(?![=>])", CALL.sub("", text))
 
 
 def test_keywords_exist():
-    found = [key for text, file in texts().items() for key in bare_keywords(text, file)]
-    assert len(found) > 10
-    assert wrong(bare_keywords, is_keyword) == []
+    candidates = [key for text, file in texts().items() for key in bare_keywords(text, file)]
+    assert len(candidates) > 10
+    assert invalid_remedies(bare_keywords, is_keyword) == []
 
 
 def dotted_names(text: str, _file: str) -> list[str]:
@@ -472,12 +481,12 @@ def is_dotted_name(name: str) -> bool:
 
 
 def test_names_and_pages_exist():
-    assert wrong(dotted_names, is_dotted_name) == []
+    assert invalid_remedies(dotted_names, is_dotted_name) == []
 
 
 def sections(text: str, _file: str) -> list[tuple[str, str]]:
-    found = re.findall(r"(?<![\w\])…])\[([a-z_]+)\](?: ([a-z_]+))?", text)
-    return [pair for pair in found if pair[0] not in UNITS]
+    pairs = re.findall(r"(?<![\w\])…])\[([a-z_]+)\](?: ([a-z_]+))?", text)
+    return [pair for pair in pairs if pair[0] not in UNITS]
 
 
 def is_section(pair: tuple[str, str]) -> bool:
@@ -502,15 +511,15 @@ def is_section(pair: tuple[str, str]) -> bool:
 
 
 def test_sections_and_keys_of_a_configuration_exist():
-    found = [pair for text, file in texts().items() for pair in sections(text, file)]
-    assert len(found) > 8
-    assert wrong(sections, is_section) == []
+    candidates = [pair for text, file in texts().items() for pair in sections(text, file)]
+    assert len(candidates) > 8
+    assert invalid_remedies(sections, is_section) == []
 
 
 def test_extras_exist():
     """Check that the second argument of every call of `missing` is an extra in pyproject.toml."""
     known = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-    named = [
+    extras = [
         node.args[1].value
         for folder in ("python/pliant", "experiments")
         for path in (ROOT / folder).rglob("*.py")
@@ -519,8 +528,8 @@ def test_extras_exist():
         and getattr(node.func, "id", "") == "missing"
         and isinstance(node.args[1], ast.Constant)
     ]
-    assert len(named) > 6
-    assert set(named) <= set(known["project"]["optional-dependencies"])
+    assert len(extras) > 6
+    assert set(extras) <= set(known["project"]["optional-dependencies"])
 
 
 @pytest.mark.parametrize(
@@ -545,4 +554,4 @@ def test_extras_exist():
 )
 def test_a_remedy_that_does_not_exist_is_found(text, find, judge, monkeypatch):
     monkeypatch.setitem(globals(), "texts", lambda: {text: "python/pliant/cli/run.py"})
-    assert len(wrong(find, judge)) == 1
+    assert len(invalid_remedies(find, judge)) == 1

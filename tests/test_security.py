@@ -9,8 +9,8 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 TEXT = (ROOT / "docs" / "security.md").read_text(encoding="utf-8")
-NAMED = sorted(set(re.findall(r"`([\w/]+\.(?:py|rs))::(\w+)`", TEXT)))
-#: Unsafe blocks, functions and trait implementations; no attributes and no comments.
+REFERENCES = sorted(set(re.findall(r"`([\w/]+\.(?:py|rs))::(\w+)`", TEXT)))
+#: Pattern of unsafe blocks, functions and trait implementations, without attributes and comments.
 UNSAFE = re.compile(r"^(?!\s*//).*\bunsafe (?:\{|fn|impl|extern)", re.MULTILINE)
 
 
@@ -18,7 +18,7 @@ def section(title: str) -> str:
     return TEXT.split(f"\n## {title}\n")[1].split("\n## ")[0]
 
 
-@pytest.mark.parametrize(("file", "name"), NAMED)
+@pytest.mark.parametrize(("file", "name"), REFERENCES)
 def test_a_named_test_exists(file, name):
     text = (ROOT / file).read_text(encoding="utf-8")
     pattern = rf"^def {name}\(" if file.endswith(".py") else rf"#\[test\]\nfn {name}\("
@@ -50,15 +50,16 @@ def test_every_file_with_unsafe_code_names_the_run_that_covers_it():
         file
         for file in files
         if not any(
-            file == one or file.startswith(f"{one}/") or file.endswith(f"/{one}") for one in covered
+            file == prefix or file.startswith(f"{prefix}/") or file.endswith(f"/{prefix}")
+            for prefix in covered
         )
     ]
     assert not missing, f"not in the table of docs/security.md: {missing}"
 
 
 def test_every_fuzz_target_is_described_has_a_program_and_a_corpus():
-    listed = re.findall(r'^    \("(\w+)", ', (ROOT / "fuzz/src/lib.rs").read_text(), re.MULTILINE)
+    targets = re.findall(r'^    \("(\w+)", ', (ROOT / "fuzz/src/lib.rs").read_text(), re.MULTILINE)
     programs = {path.stem for path in (ROOT / "fuzz/fuzz_targets").glob("*.rs")}
     corpora = {path.name for path in (ROOT / "fuzz/corpus").iterdir()}
     described = set(re.findall(r"^\| `(\w+)` \|", section("Fuzzing"), re.MULTILINE))
-    assert set(listed) == programs == corpora == described
+    assert set(targets) == programs == corpora == described

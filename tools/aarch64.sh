@@ -37,7 +37,7 @@ ls -l "$build"/wheels/*.whl
 printf '\n== the wheel under emulation\n'
 if [ ! -x "$sysroot/usr/bin/python3.11" ]; then
     command -v apt-get >/dev/null || skip "the wheel is built, but there is no apt-get to fetch a Python for aarch64"
-    # A package index of its own, so that this machine's is left alone.
+    # Use a separate package index, so that the index of this machine is unchanged.
     mkdir -p "$build/apt/lists/partial" "$build/apt/cache/archives/partial" "$build/debs" "$sysroot"
     touch "$build/apt/status"
     apt="apt-get -qq -o APT::Architecture=arm64 -o APT::Architectures=arm64 -o Dir::State=$build/apt

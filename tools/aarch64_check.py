@@ -1,4 +1,4 @@
-"""Checks the installed wheel against numbers of the golden file. Run by tools/aarch64.sh."""
+"""Compare the installed wheel with numbers of the golden file. Run by tools/aarch64.sh."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ def main() -> None:
     cases = json.loads((GOLDEN / "golden.json").read_text(encoding="utf-8"))
     for case in cases:
         pose, jacobian = model.kinematics(np.array(case["q"]))
-        for got, key in ((pose[:3, 3], "p"), (pose[:3, :3], "R"), (jacobian, "J")):
-            np.testing.assert_allclose(got, case[key], rtol=0.0, atol=1e-10)
+        for value, key in ((pose[:3, 3], "p"), (pose[:3, :3], "R"), (jacobian, "J")):
+            np.testing.assert_allclose(value, case[key], rtol=0.0, atol=1e-10)
         np.testing.assert_allclose(model.gravity(case["q"]), case["gravity"], rtol=0.0, atol=1e-10)
     arm = pliant.robots.arm7()
     q = np.linspace(-0.4, 0.5, arm.n)

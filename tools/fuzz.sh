@@ -1,5 +1,5 @@
 #!/bin/sh
-# Runs every fuzz target of fuzz/ for some minutes each, from its kept corpus; docs/security.md says what they check.
+# Runs every fuzz target of fuzz/ for some minutes each, from its stored corpus; docs/security.md says what they check.
 # usage: fuzz.sh MINUTES [TARGET ...]
 # Needs rustup's nightly toolchain and cargo-fuzz. New inputs go into build/fuzz, inputs that fail into fuzz/artifacts.
 set -eu
@@ -22,7 +22,7 @@ for name in "$@"; do
     printf '\n== fuzz %s, %s min\n' "$name" "$minutes"
     mkdir -p "build/fuzz/$name"
     dictionary=fuzz/dictionaries/$name.dict
-    # A URDF is as long as its robot; a run of the others reads at most some hundred bytes.
+    # URDF inputs are long; the other targets read at most a few hundred bytes.
     [ -f "$dictionary" ] && length=8192 || length=1024
     log=build/fuzz/$name.log
     cargo +nightly fuzz run "$name" "build/fuzz/$name" "fuzz/corpus/$name" -- -max_total_time=$((minutes * 60)) \

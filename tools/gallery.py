@@ -26,8 +26,8 @@ sys.path.insert(0, str(ROOT))
 EXAMPLES, GALLERY = ROOT / "examples", ROOT / "docs" / "gallery"
 #: Examples whose page has a replay: a file of about 100 KB each.
 REPLAYED = ("01", "07")
-#: Replay: time between two frames [s] and maximum number of frames. Strip: number of frames.
-EVERY, MOST, STRIP = 0.05, 240, 4
+#: Time between two frames of a replay [s], largest number of its frames, and frames of a strip.
+PERIOD, MAX_FRAMES, STRIP_FRAMES = 0.05, 240, 4
 #: Timeout of an example [s].
 LONGEST = 600.0
 
@@ -37,7 +37,7 @@ def digest(example: Path) -> str:
     return hashlib.sha256(example.read_bytes()).hexdigest()[:16]
 
 
-def recorded(example: Path) -> str | None:
+def stored_digest(example: Path) -> str | None:
     """Return the digest of the example at its last run."""
     text = GALLERY / f"{example.stem}.txt"
     return text.read_text(encoding="utf-8").split("\n", 1)[0] if text.exists() else None
@@ -45,7 +45,7 @@ def recorded(example: Path) -> str | None:
 
 def record(example: Path) -> None:
     """Run an example in a process of its own and store its output."""
-    done = subprocess.run(
+    result = subprocess.run(
         [sys.executable, __file__, "--watch", str(example)],
         cwd=ROOT,
         env={**os.environ, "MUJOCO_GL": "egl", "MPLBACKEND": "Agg", "COLUMNS": "100"},
@@ -54,11 +54,11 @@ def record(example: Path) -> None:
         timeout=LONGEST,
         check=False,
     )
-    if done.returncode != 0:
-        raise SystemExit(f"{example.name} failed:\n{done.stderr}")
+    if result.returncode != 0:
+        raise SystemExit(f"{example.name} failed:\n{result.stderr}")
     # Names of temporary folders differ between runs.
-    said = re.sub(r"/tmp/\w+", "/tmp", done.stdout)
-    text = f"{digest(example)}\n{said.rstrip()}\n"
+    output = re.sub(r"/tmp/\w+", "/tmp", result.stdout)
+    text = f"{digest(example)}\n{output.rstrip()}\n"
     (GALLERY / f"{example.stem}.txt").write_text(text, encoding="utf-8")
 
 
@@ -98,7 +98,7 @@ class Film:
         plant = self.plant
         if self.frames and plant.time < self.frames[-1]["time"]:
             self.frames.clear()
-        if self.frames and plant.time - self.frames[-1]["time"] < EVERY - 1e-9:
+        if self.frames and plant.time - self.frames[-1]["time"] < PERIOD - 1e-9:
             return
         data = plant.mj_data
         self.frames.append(
@@ -109,8 +109,8 @@ class Film:
                 "q": plant.q.copy(),
                 "tool": plant.tool[:3, 3].copy(),
                 "hands": [
-                    (felt.hand.force(plant.ground_truth, plant.time)[2].copy(), felt.force.copy())
-                    for felt in plant.hands
+                    (hand.hand.force(plant.ground_truth, plant.time)[2].copy(), hand.force.copy())
+                    for hand in plant.hands
                 ],
             }
         )
@@ -127,11 +127,12 @@ class Film:
         import numpy as np
 
         steps = np.abs(np.diff([frame["q"] for frame in self.frames], axis=0)).sum(axis=1)
-        way = np.concatenate([[0.0], np.cumsum(steps)])
-        places = np.searchsorted(
-            way, np.linspace(0.0, way[-1], count + 1)[1:] - 0.5 * way[-1] / count
+        path_length = np.concatenate([[0.0], np.cumsum(steps)])
+        indices = np.searchsorted(
+            path_length,
+            np.linspace(0.0, path_length[-1], count + 1)[1:] - 0.5 * path_length[-1] / count,
         )
-        return [self.frames[min(int(place), len(self.frames) - 1)] for place in places]
+        return [self.frames[min(int(index), len(self.frames) - 1)] for index in indices]
 
     def show(self, frame: dict[str, object]) -> None:
         """Set the simulated arm to the state of a frame."""
@@ -149,7 +150,7 @@ class Film:
         centre, size = self.scene()
         with Studio(self.plant, size=(330, 280), look_at=centre, distance=1.45 * size) as studio:
             pictures = []
-            for frame in self.telling(STRIP):
+            for frame in self.telling(STRIP_FRAMES):
                 self.show(frame)
                 pixels = studio.picture(frame["q"]).astype(float)
                 cover = pixels[:, :, 3:] / 255.0
@@ -164,17 +165,17 @@ class Film:
 
         model, data = self.plant.mj_model, self.plant.mj_data
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
-        for frame in self.telling(STRIP):
+        for frame in self.telling(STRIP_FRAMES):
             self.show(frame)
             mujoco.mj_kinematics(model, data)
             solid = model.geom_rbound > 0.0  # a plane has no size
-            places, sizes = data.geom_xpos[solid], 0.6 * model.geom_rbound[solid, None]
-            low = np.minimum(low, (places - sizes).min(axis=0))
-            high = np.maximum(high, (places + sizes).max(axis=0))
+            positions, sizes = data.geom_xpos[solid], 0.6 * model.geom_rbound[solid, None]
+            low = np.minimum(low, (positions - sizes).min(axis=0))
+            high = np.maximum(high, (positions + sizes).max(axis=0))
         return ((low + high) / 2.0).tolist(), float(np.linalg.norm(high - low))
 
     def replay(self, path: Path, title: str) -> None:
-        """Write a page that plays the motion: bodies as primitives, a pose of each per frame."""
+        """Write a page that plays the motion: primitive shapes, and their poses in each frame."""
         import mujoco
         import numpy as np
 
@@ -197,7 +198,7 @@ class Film:
             for g in range(model.ngeom)
             if int(model.geom_type[g]) in kinds and model.geom_rgba[g][3] > 0.0
         ]
-        step = max(1, -(-len(self.frames) // MOST))
+        step = max(1, -(-len(self.frames) // MAX_FRAMES))
         frames, forces = [], []
         for frame in self.frames[::step]:
             data.qpos[:] = frame["qpos"]
@@ -207,7 +208,7 @@ class Film:
             forces.append([[*np.round(p, 3), *np.round(f, 2)] for p, f in frame["hands"]])
         centre, size = self.scene()
         film = {
-            "step": EVERY * step,
+            "step": PERIOD * step,
             "shapes": shapes,
             "frames": frames,
             "forces": forces,
@@ -225,18 +226,20 @@ def main() -> None:
     parser.add_argument("numbers", nargs="*", help="examples by number, e.g. 07")
     parser.add_argument("--all", action="store_true", help="also those that did not change")
     parser.add_argument("--watch", type=Path, help=argparse.SUPPRESS)
-    given = parser.parse_args()
-    if given.watch is not None:
-        watch(given.watch)
+    options = parser.parse_args()
+    if options.watch is not None:
+        watch(options.watch)
         return
     GALLERY.mkdir(exist_ok=True)
     for old in GALLERY.iterdir():
         if old.suffix in {".txt", ".jpg", ".html"} and not (EXAMPLES / f"{old.stem}.py").exists():
             old.unlink()
     for example in sorted(EXAMPLES.glob("*.py")):
-        named = example.stem[:2] in given.numbers
-        changed = not given.numbers and (given.all or recorded(example) != digest(example))
-        if named or changed:
+        is_named = example.stem[:2] in options.numbers
+        is_changed = not options.numbers and (
+            options.all or stored_digest(example) != digest(example)
+        )
+        if is_named or is_changed:
             print(example.name, flush=True)
             record(example)
 

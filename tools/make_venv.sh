@@ -10,7 +10,7 @@ good() {
 
 versions="$HOME/.pyenv/versions ${PYENV_ROOT:-$HOME/.pyenv}/versions"
 found=
-# Unquoted on purpose: the pattern names every Python that pyenv holds, whether switched on or not.
+# Unquoted on purpose: the shell expands the pattern to every Python of pyenv, active or not.
 for python in ${PYTHON:-python3 python3.14 python3.13 python3.12 python3.11 python \
     $(for folder in $versions; do ls -d "$folder"/3.1[1-9]*/bin/python3 2>/dev/null || true; done)}; do
     if good "$python"; then

@@ -12,7 +12,7 @@ skip() {
 cargo +nightly miri --version >/dev/null 2>&1 \
     || skip "no Miri (rustup toolchain install nightly --component miri,rust-src)"
 export CARGO_TARGET_DIR="${CARGO_TARGET_DIR:-$root/build/miri}"
-# Without deterministic floats Miri adds rounding errors of its own to sin and exp, and tests of accuracy fail.
+# Without deterministic floats, Miri adds rounding errors to sin and exp, and tests of accuracy fail.
 export MIRIFLAGS="-Zmiri-deterministic-floats -Zmiri-disable-isolation -Zmiri-ignore-leaks"
 
 for features in "" "-Ctarget-feature=+avx2,+fma,+bmi1,+bmi2"; do

@@ -23,34 +23,36 @@ class NoticeError(SystemExit):
     """The crates cannot be listed, or one has no licence, or no text of it."""
 
 
-def linked() -> list[dict]:
+def linked_crate_names() -> list[dict]:
     """Return crates linked on Linux, by name and version, without ours and build tools."""
     command = (
         "cargo metadata --format-version 1 --locked --filter-platform x86_64-unknown-linux-gnu"
     )
     try:
-        done = subprocess.run(command.split(), cwd=ROOT, capture_output=True, text=True, check=True)
+        result = subprocess.run(
+            command.split(), cwd=ROOT, capture_output=True, text=True, check=True
+        )
     except OSError as error:
         raise NoticeError(f"{command}: {error}") from error
     except subprocess.CalledProcessError as error:
         raise NoticeError(f"{command}: exit {error.returncode}\n{error.stderr}") from error
-    data = json.loads(done.stdout)
+    data = json.loads(result.stdout)
     crates = {crate["id"]: crate for crate in data["packages"]}
     nodes = {node["id"]: node for node in data["resolve"]["nodes"]}
-    left = [name for name, crate in crates.items() if crate["name"] == ROOT_CRATE]
-    found = {}
-    while left:
-        name = left.pop()
+    remaining = [name for name, crate in crates.items() if crate["name"] == ROOT_CRATE]
+    linked_crates = {}
+    while remaining:
+        name = remaining.pop()
         is_macro = any("proc-macro" in target["kind"] for target in crates[name]["targets"])
-        if name in found or is_macro:
+        if name in linked_crates or is_macro:
             continue
-        found[name] = crates[name]
-        left += [
-            need["pkg"]
-            for need in nodes[name]["deps"]
-            if any(kind["kind"] is None for kind in need["dep_kinds"])
+        linked_crates[name] = crates[name]
+        remaining += [
+            dependency["pkg"]
+            for dependency in nodes[name]["deps"]
+            if any(kind["kind"] is None for kind in dependency["dep_kinds"])
         ]
-    foreign = [crate for crate in found.values() if crate["source"] is not None]
+    foreign = [crate for crate in linked_crates.values() if crate["source"] is not None]
     return sorted(foreign, key=lambda crate: (crate["name"], crate["version"]))
 
 
@@ -81,7 +83,7 @@ def text(crate: dict, licence: str) -> str:
 
 def notices() -> str:
     """Return the text of THIRD_PARTY_LICENSES."""
-    crates = linked()
+    crates = linked_crate_names()
     out = HEAD + "".join(f"{c['name']} {c['version']}: {chosen(c)}\n" for c in crates)
     for crate in crates:
         licence = chosen(crate)

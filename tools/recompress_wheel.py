@@ -17,14 +17,14 @@ import zopfli
 
 def recompress(wheel: Path) -> None:
     """Replace `wheel` by the recompressed one."""
-    beside = wheel.with_suffix(".tmp")
+    temporary = wheel.with_suffix(".tmp")
     with (
         zipfile.ZipFile(wheel) as source,
-        zopfli.ZipFile(beside, "w", zipfile.ZIP_DEFLATED) as target,
+        zopfli.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED) as target,
     ):
         for entry in source.infolist():
             target.writestr(entry, source.read(entry))
-    beside.replace(wheel)
+    temporary.replace(wheel)
 
 
 if __name__ == "__main__":

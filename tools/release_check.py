@@ -47,7 +47,7 @@ def run(
 ) -> str:
     """Run a command and return its output; it is shown only if the command fails."""
     try:
-        done = subprocess.run(
+        result = subprocess.run(
             [str(part) for part in command],
             cwd=cwd,
             env={**os.environ, **(env or {})},
@@ -60,9 +60,11 @@ def run(
         )
     except OSError as error:
         raise CheckError(f"{command[0]}: {error}") from error
-    if done.returncode:
-        raise CheckError(f"{' '.join(map(str, command))}: exit {done.returncode}\n{done.stdout}")
-    return done.stdout
+    if result.returncode:
+        raise CheckError(
+            f"{' '.join(map(str, command))}: exit {result.returncode}\n{result.stdout}"
+        )
+    return result.stdout
 
 
 def text_of(path: Path) -> str:
@@ -73,11 +75,11 @@ def text_of(path: Path) -> str:
         raise CheckError(f"{path}: {error}") from error
 
 
-def entry(data: Any, place: str | Path, *keys: str) -> Any:
-    """Return the entry of nested tables under `keys`; `place` names the file in the error."""
+def entry(data: Any, file: str | Path, *keys: str) -> Any:
+    """Return the entry of nested tables under `keys`; `file` is named in the error."""
     for i, key in enumerate(keys, 1):
         if not isinstance(data, Mapping) or key not in data:
-            raise CheckError(f"{place}: no entry {'.'.join(keys[:i])}")
+            raise CheckError(f"{file}: no entry {'.'.join(keys[:i])}")
         data = data[key]
     return data
 
@@ -91,18 +93,18 @@ def toml_entry(path: str, *keys: str) -> Any:
     return entry(data, path, *keys)
 
 
-def only(found: Sequence[T], what: str) -> T:
-    """Return the one element of a list; `what` names it in the error."""
-    if len(found) != 1:
-        raise CheckError(f"{len(found)} of {what}, 1 is needed: {list(found)}")
-    return found[0]
+def single(items: Sequence[T], description: str) -> T:
+    """Return the only element of a list; an error contains its `description`."""
+    if len(items) != 1:
+        raise CheckError(f"{len(items)} of {description}, 1 is needed: {list(items)}")
+    return items[0]
 
 
 def members(wheel: Path) -> dict[str, bytes]:
     """Return the files of a wheel by name."""
     try:
-        with zipfile.ZipFile(wheel) as opened:
-            return {name: opened.read(name) for name in opened.namelist()}
+        with zipfile.ZipFile(wheel) as archive:
+            return {name: archive.read(name) for name in archive.namelist()}
     except (OSError, zipfile.BadZipFile) as error:
         raise CheckError(f"{wheel}: {error}") from error
 
@@ -146,7 +148,7 @@ def versions() -> str:
     version = toml_entry("Cargo.toml", "workspace", "package", "version")
     heading = first_heading()
     cited = re.search(r"^version: (\S+)$", text_of(ROOT / "CITATION.cff"), re.MULTILINE)
-    told = {
+    stated = {
         "dependency on pliant-core": toml_entry(
             "Cargo.toml", "workspace", "dependencies", "pliant-core", "version"
         ),
@@ -157,14 +159,18 @@ def versions() -> str:
         for crate in toml_entry(lock, "package"):
             name = entry(crate, lock, "name")
             if name.startswith("pliant-") and name != "pliant-fuzz":
-                told[f"{name} in {lock}"] = entry(crate, f"{lock}: {name}", "version")
+                stated[f"{name} in {lock}"] = entry(crate, f"{lock}: {name}", "version")
     for path in sorted(ROOT.glob("integrations/*/pyproject.toml")):
-        place = path.relative_to(ROOT).as_posix()
-        told[place] = toml_entry(place, "project", "version")
-    wrong = [f"{place} has {found}" for place, found in told.items() if found != version]
-    if wrong:
-        raise CheckError(f"Cargo.toml has version {version}, but {', '.join(wrong)}")
-    return f"{version} in {len(told) + 1} places"
+        file = path.relative_to(ROOT).as_posix()
+        stated[file] = toml_entry(file, "project", "version")
+    differences = [
+        f"{file} has {stated_version}"
+        for file, stated_version in stated.items()
+        if stated_version != version
+    ]
+    if differences:
+        raise CheckError(f"Cargo.toml has version {version}, but {', '.join(differences)}")
+    return f"{version} in {len(stated) + 1} places"
 
 
 def first_heading() -> tuple[str, str]:
@@ -177,7 +183,7 @@ def first_heading() -> tuple[str, str]:
 
 def tag(commit: str) -> str:
     """Compare the tags of the commit with the version; a tagged changelog needs a date."""
-    needed = f"v{toml_entry('Cargo.toml', 'workspace', 'package', 'version')}"
+    expected = f"v{toml_entry('Cargo.toml', 'workspace', 'package', 'version')}"
     tags = set(run("git", "tag", "--points-at", commit).split())
     if os.environ.get("GITHUB_REF_TYPE") == "tag":
         tags.add(os.environ.get("GITHUB_REF_NAME", ""))
@@ -186,40 +192,42 @@ def tag(commit: str) -> str:
     is_dated = re.fullmatch(r"\d{4}-\d\d-\d\d", date) is not None
     if not releases:
         missing = "" if is_dated else f"; CHANGELOG.md says {date!r}: date it before the tag"
-        return f"no tag yet, {needed} is the one to set{missing}"
-    if releases != [needed]:
-        raise CheckError(f"the commit has the tag {', '.join(releases)}, its version is {needed}")
+        return f"no tag yet, {expected} is the one to set{missing}"
+    if releases != [expected]:
+        raise CheckError(f"the commit has the tag {', '.join(releases)}, its version is {expected}")
     if not is_dated:
-        raise CheckError(f"the commit has the tag {needed}, but CHANGELOG.md has no date: {date!r}")
-    return f"{needed} is the version, of {date}"
+        raise CheckError(
+            f"the commit has the tag {expected}, but CHANGELOG.md has no date: {date!r}"
+        )
+    return f"{expected} is the version, of {date}"
 
 
 def pins() -> str:
     """Check that everything that a build takes from outside is pinned."""
-    wrong, actions = [], 0
+    missing, actions = [], 0
     for path in sorted((ROOT / ".github" / "workflows").glob("*.yml")):
         text = text_of(path)
-        for use in re.findall(r"uses: (\S+)", text):
+        for action in re.findall(r"uses: (\S+)", text):
             actions += 1
-            if not re.search(r"@[0-9a-f]{40}$", use):
-                wrong.append(f"{path.name}: {use} is not pinned to a commit")
+            if not re.search(r"@[0-9a-f]{40}$", action):
+                missing.append(f"{path.name}: {action} is not pinned to a commit")
         for names in re.findall(r"cargo install (.+)", text):
             crates = [name for name in names.split() if not name.startswith("-")]
-            wrong += [f"{path.name}: {name} has no version" for name in crates if "@" not in name]
+            missing += [f"{path.name}: {name} has no version" for name in crates if "@" not in name]
     run("cargo", "metadata", "--locked", "--format-version", "1")
     foreign = [crate for crate in toml_entry("Cargo.lock", "package") if "source" in crate]
-    wrong += [
+    missing += [
         f"{entry(crate, 'Cargo.lock', 'name')} has no checksum"
         for crate in foreign
         if "checksum" not in crate
     ]
-    needed = re.search(r"pip install --quiet (.+)", text_of(ROOT / "tools" / "wheels.sh"))
-    if needed is None:
+    match = re.search(r"pip install --quiet (.+)", text_of(ROOT / "tools" / "wheels.sh"))
+    if match is None:
         raise CheckError("tools/wheels.sh: no 'pip install --quiet' of the tools of a build")
-    tools = needed[1].split()
-    wrong += [f"tools/wheels.sh: {tool} is not pinned" for tool in tools if "==" not in tool]
-    if wrong:
-        raise CheckError("; ".join(wrong))
+    tools = match[1].split()
+    missing += [f"tools/wheels.sh: {tool} is not pinned" for tool in tools if "==" not in tool]
+    if missing:
+        raise CheckError("; ".join(missing))
     return f"{len(foreign)} crates with checksums, {actions} actions at commits, {len(tools)} tools"
 
 
@@ -250,16 +258,16 @@ def contents(wheel: Path) -> str:
     data = members(wheel)
     for licence in ("LICENSE", "THIRD_PARTY_LICENSES"):
         end = f".dist-info/licenses/{licence}"
-        name = only([name for name in data if name.endswith(end)], f"{end} in {wheel.name}")
+        name = single([name for name in data if name.endswith(end)], f"{end} in {wheel.name}")
         if data[name] != (ROOT / licence).read_bytes():
             raise CheckError(f"{name} is not {licence}")
     foreign = [name for name in data if name.partition("/")[0].partition("-")[0] != "pliant"]
     if foreign:
         raise CheckError(f"the wheel brings files beside pliant: {foreign}")
     folders = [str(Path.home()) + "/", str(ROOT)]
-    told = [f"{name} names {f}" for name in data for f in folders if f.encode() in data[name]]
-    if told:
-        raise CheckError("; ".join(told))
+    findings = [f"{name} names {f}" for name in data for f in folders if f.encode() in data[name]]
+    if findings:
+        raise CheckError("; ".join(findings))
     return (
         f"{len(data)} files, {wheel.stat().st_size} bytes, both licences, no folder of the builder"
     )
@@ -279,18 +287,18 @@ def materials(bill: Path, wheel: Path) -> str:
     except json.JSONDecodeError as error:
         raise CheckError(f"{bill.name}: {error}") from error
     components = entry(content, bill.name, "components")
-    listed = {entry(component, bill.name, "name") for component in components}
+    names = {entry(component, bill.name, "name") for component in components}
     data = members(wheel)
     modules = [name for name in data if "/_core." in name and name.endswith(("so", "pyd"))]
-    binary = data[only(modules, f"compiled modules in {wheel.name}")]
+    binary = data[single(modules, f"compiled modules in {wheel.name}")]
     # Panic messages name the sources of the crates that can panic.
-    named = {
+    files = {
         m[1].decode()
         for m in re.finditer(rb"index\.crates\.io-[0-9a-f]+/([\w-]+?)-\d+\.\d+\.\d+", binary)
     }
-    if missing := sorted(named - listed):
+    if missing := sorted(files - names):
         raise CheckError(f"the module has code of {missing}, which {bill.name} does not list")
-    return f"valid CycloneDX 1.6, {len(listed)} components, all {len(named)} that the module names"
+    return f"valid CycloneDX 1.6, {len(names)} components, all {len(files)} that the module names"
 
 
 def installs(archive: Path, folder: Path) -> str:
@@ -305,17 +313,17 @@ def installs(archive: Path, folder: Path) -> str:
     (folder / "first.py").write_text(program[1], encoding="utf-8")
     env = {"PYTHONPATH": "", "PYTHONSAFEPATH": "1", "MUJOCO_GL": "egl"}
     run(python, "first.py", cwd=folder, env=env)
-    shown = run(
+    output = run(
         python,
         "-c",
         "import pliant; print(pliant.__version__, pliant.__file__)",
         cwd=folder,
         env=env,
     )
-    if str(folder) not in shown:
-        raise CheckError(f"not the installed package: {shown}")
+    if str(folder) not in output:
+        raise CheckError(f"not the installed package: {output}")
     run(folder / "venv" / "bin" / "pliant", "--help", cwd=folder, env=env)
-    return f"version {shown.split()[0]}; the README's program and `pliant --help` run"
+    return f"version {output.split()[0]}; the README's program and `pliant --help` run"
 
 
 def main(targets: list[str]) -> int:
@@ -327,41 +335,41 @@ def main(targets: list[str]) -> int:
         nonlocal failed
         print(f"\n== {name}", flush=True)
         try:
-            told = action()
+            text = action()
         except CheckError as error:
-            failed, told = failed + 1, f"FAILED: {error}"
-        print(told, flush=True)
-        results.append(f"{name}: {told.splitlines()[0]}")
+            failed, text = failed + 1, f"FAILED: {error}"
+        print(text, flush=True)
+        results.append(f"{name}: {text.splitlines()[0]}")
 
     commit = run("git", "rev-parse", "HEAD").strip()
     print(f"rehearses {commit}")
-    if changed := run("git", "status", "--porcelain"):
-        print(f"!! not committed, and so not rehearsed:\n{changed}")
+    if status := run("git", "status", "--porcelain"):
+        print(f"!! not committed, and so not rehearsed:\n{status}")
     check("version", versions)
     check("tag", lambda: tag(commit))
     check("pins", pins)
     check("licences", licences)
-    made: list[dict[str, Path]] = []
+    builds: list[dict[str, Path]] = []
 
-    def twice() -> str:
-        made.append(build(commit, WORK / "first", targets, "UTC", 0o022))
+    def build_twice() -> str:
+        builds.append(build(commit, WORK / "first", targets, "UTC", 0o022))
         with second_folder() as second:
             other = build(commit, second, targets, "Asia/Kolkata", 0o077)
-            if made[0].keys() != other.keys():
-                raise CheckError(f"builds made {sorted(made[0])} and {sorted(other)}")
-            hashes = {name: [digest(path), digest(other[name])] for name, path in made[0].items()}
-        for name, (one, two) in hashes.items():
-            print(f"{one}  {name}\n{two}  {'same' if one == two else 'DIFFERENT'}")
-        if different := [name for name, (one, two) in hashes.items() if one != two]:
+            if builds[0].keys() != other.keys():
+                raise CheckError(f"builds made {sorted(builds[0])} and {sorted(other)}")
+            hashes = {name: [digest(path), digest(other[name])] for name, path in builds[0].items()}
+        for name, (first, two) in hashes.items():
+            print(f"{first}  {name}\n{two}  {'same' if first == two else 'DIFFERENT'}")
+        if different := [name for name, (first, two) in hashes.items() if first != two]:
             raise CheckError(f"two builds differ: {different}")
         return f"{len(hashes)} files are the same bytes (twine and abi3audit passed on both)"
 
-    check("two builds in two folders", twice)
-    if made:
-        wheels = [path for name, path in made[0].items() if name.endswith(".whl")]
+    check("two builds in two folders", build_twice)
+    if builds:
+        wheels = [path for name, path in builds[0].items() if name.endswith(".whl")]
 
         def ending(end: str) -> Path:
-            return only([path for name, path in made[0].items() if name.endswith(end)], end)
+            return single([path for name, path in builds[0].items() if name.endswith(end)], end)
 
         for wheel in wheels:
             check(f"contents of {wheel.name}", lambda wheel=wheel: contents(wheel))

@@ -41,7 +41,7 @@ def bill() -> dict[str, Any]:
             "licenses": [{"expression": notices.chosen(crate)}],
             "purl": purl(crate),
         }
-        for crate in notices.linked()
+        for crate in notices.linked_crate_names()
     ]
     compiler = subprocess.run(["rustc", "--version"], capture_output=True, text=True, check=True)
     standard_library = {

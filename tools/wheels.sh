@@ -1,6 +1,6 @@
 #!/bin/sh
 # Builds the wheel of every platform, the source distribution and the bill of materials into build/wheels-all, and
-# checks them. The same commit gives the same bytes in every folder. Slow: two minutes of processor a wheel.
+# checks them. The same commit gives the same bytes in every folder. Slow: two minutes of CPU time per wheel.
 # usage: wheels.sh PYTHON [TARGET...]   (the project's own Python; Rust targets, all by default)
 # WHEEL_TOOLS: environment of the tools, build/wheel-tools by default.
 # Needs rustup, and Debian's gcc-mingw-w64-x86-64 for Windows; zig, the linker of the others, comes from a Python package.

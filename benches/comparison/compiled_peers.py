@@ -38,23 +38,29 @@ def jax() -> Implementation:
     compliant = np.arange(6) == problem.YIELDS
 
     def kinematics(q: Any) -> Any:
-        here, frames = links[0], []
+        pose, frames = links[0], []
         for i in range(arm.n):
             c, s = jnp.cos(q[i]), jnp.sin(q[i])
-            first, second = c * here[:, 0] + s * here[:, 1], c * here[:, 1] - s * here[:, 0]
-            frames.append(here)
-            here = jnp.stack([first, second, here[:, 2], here[:, 3]], axis=1) @ links[i + 1]
+            first, second = c * pose[:, 0] + s * pose[:, 1], c * pose[:, 1] - s * pose[:, 0]
+            frames.append(pose)
+            pose = jnp.stack([first, second, pose[:, 2], pose[:, 3]], axis=1) @ links[i + 1]
         columns = [
-            jnp.concatenate([jnp.cross(f[:3, 2], here[:3, 3] - f[:3, 3]), f[:3, 2]]) for f in frames
+            jnp.concatenate([jnp.cross(f[:3, 2], pose[:3, 3] - f[:3, 3]), f[:3, 2]]) for f in frames
         ]
-        return here, jnp.stack(columns, axis=1)
+        return pose, jnp.stack(columns, axis=1)
 
     def step(q: Any, target: Any) -> Any:
         pose, jacobian = kinematics(q)
-        turn = target[:3, :3] @ pose[:3, :3].T
-        v = jnp.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
+        rotation = target[:3, :3] @ pose[:3, :3].T
+        v = jnp.array(
+            [
+                rotation[2, 1] - rotation[1, 2],
+                rotation[0, 2] - rotation[2, 0],
+                rotation[1, 0] - rotation[0, 1],
+            ]
+        )
         sine = jnp.sqrt(v @ v)
-        angle = jnp.arctan2(sine, jnp.trace(turn) - 1.0)
+        angle = jnp.arctan2(sine, jnp.trace(rotation) - 1.0)
         scale = jnp.where(sine > 1e-12, angle / jnp.where(sine > 1e-12, sine, 1.0), 0.5)
         e = jnp.concatenate([target[:3, 3] - pose[:3, 3], scale * v])
         adapted = (1.0 - problem.ETA * compliant) * e
@@ -73,17 +79,17 @@ def jax() -> Implementation:
         limit = shares @ strength + problem.NULL * size / size.sum()
         return q + problem.HORIZON * motion, limit
 
-    fast, whole = library.jit(kinematics), library.jit(step)
-    many = library.jit(library.vmap(kinematics))
+    jit_kinematics, jit_step = library.jit(kinematics), library.jit(step)
+    batch = library.jit(library.vmap(kinematics))
 
-    def both(found: Any) -> Pair:
-        first, second = found
+    def both(functions: Any) -> Pair:
+        first, second = functions
         return np.asarray(first), np.asarray(second)
 
     return Implementation(
         f"JAX {library.__version__}",
-        lambda q: both(fast(q)),
-        lambda q, target: both(whole(q, target)),
-        lambda configurations: both(many(configurations)),
+        lambda q: both(jit_kinematics(q)),
+        lambda q, target: both(jit_step(q, target)),
+        lambda configurations: both(batch(configurations)),
         batch_size=20_000,
     )

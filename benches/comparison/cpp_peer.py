@@ -37,7 +37,7 @@ def compiler() -> str:
 
 def constants(arm: problem.Arm) -> Array:
     """Return arm data and law parameters as one array, in the order of the C++ struct's members."""
-    yields = np.arange(6) == problem.YIELDS
+    is_soft = np.arange(6) == problem.YIELDS
     parts = (
         arm.links,
         arm.middle,
@@ -45,9 +45,9 @@ def constants(arm: problem.Arm) -> Array:
         arm.rest,
         problem.D_MINUS,
         problem.D_PLUS,
-        np.where(yields, problem.SOFT, problem.HOLD),
-        np.where(yields, problem.FIRM, problem.HOLD),
-        np.where(yields, 1.0 - problem.ETA, 1.0),
+        np.where(is_soft, problem.SOFT, problem.HOLD),
+        np.where(is_soft, problem.FIRM, problem.HOLD),
+        np.where(is_soft, 1.0 - problem.ETA, 1.0),
         [problem.DAMPING, problem.GAIN, problem.HORIZON, problem.ALPHA, problem.NULL],
     )
     return np.concatenate([np.ravel(part) for part in parts])
@@ -62,9 +62,9 @@ def make() -> Implementation:
     built = Path(os.environ["PEERS_BUILD"]) / "fixed_arm.so"
     include = [f"-I{sysconfig.get_path('include')}", f"-I{np.get_include()}"]
     command = [compiler(), *FLAGS, *include, str(SOURCES / "module.cpp"), "-o", str(built)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise ImportError(f"{' '.join(command)}: {done.stderr}")
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    if result.returncode:
+        raise ImportError(f"{' '.join(command)}: {result.stderr}")
     spec = importlib.util.spec_from_file_location("fixed_arm", built)
     assert spec is not None
     assert spec.loader is not None
@@ -74,7 +74,7 @@ def make() -> Implementation:
     module.configure(constants(arm))
     pose, jacobian = np.empty((4, 4)), np.empty((6, arm.n))
     goal, limit = np.empty(arm.n), np.empty(arm.n)
-    kept: dict[int, Pair] = {}
+    pairs: dict[int, Pair] = {}
 
     def kinematics(q: Array) -> Pair:
         module.kinematics(q, pose, jacobian)
@@ -86,10 +86,10 @@ def make() -> Implementation:
 
     def batch(configurations: Array) -> Pair:
         count = len(configurations)
-        if count not in kept:
-            kept[count] = (np.empty((count, 4, 4)), np.empty((count, 6, arm.n)))
-        module.batch(configurations, *kept[count])
-        return kept[count]
+        if count not in pairs:
+            pairs[count] = (np.empty((count, 4, 4)), np.empty((count, 6, arm.n)))
+        module.batch(configurations, *pairs[count])
+        return pairs[count]
 
     version = subprocess.run(
         [compiler(), "-dumpfullversion"], capture_output=True, text=True, check=False

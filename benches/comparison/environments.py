@@ -36,7 +36,7 @@ class Entry:
 #: Instruction sets for which pliant has code, widest vectors first. The table has a row for each
 #: one that the processor supports.
 PATHS = ("avx512", "avx2", "baseline")
-OURS = tuple(
+PLIANT_ENTRIES = tuple(
     Entry(f"pliant ({path})", "pliant_peer:make", environment={"PLIANT_INSTRUCTIONS": path})
     for path in PATHS
 )
@@ -55,7 +55,7 @@ PEERS = (
 
 
 def python_for(entry: Entry) -> str:
-    """Return the path of a Python interpreter that has the module which an implementation needs.
+    """Return the path of a Python interpreter that has the module of an implementation.
 
     The running interpreter is used if it has the module. Otherwise an environment under build/peers
     is created, and the package is installed there.
@@ -66,8 +66,8 @@ def python_for(entry: Entry) -> str:
     if not entry.package or importlib.util.find_spec(entry.module) is not None:
         return sys.executable
     home = BUILD / entry.package
-    python, done = home / "bin" / "python", home / ".installed"
-    if not done.exists():
+    python, marker = home / "bin" / "python", home / ".installed"
+    if not marker.exists():
         print(f"   making an environment for {entry.package}", file=sys.stderr, flush=True)
         venv.create(home, with_pip=True, clear=True)
         command = [str(python), "-m", "pip", "install", "--quiet", "numpy", entry.package]
@@ -75,5 +75,5 @@ def python_for(entry: Entry) -> str:
         if installed.returncode:
             last = installed.stderr.strip().splitlines()[-1:] or ["pip said nothing"]
             raise RuntimeError(f"pip install {entry.package}: {last[0]}")
-        done.touch()
+        marker.touch()
     return str(python)

@@ -35,8 +35,10 @@ def mujoco() -> Implementation:
     """Return the MuJoCo implementation: it computes all body poses, then the tool's Jacobian."""
     import mujoco as mj
 
-    keep = '<mujoco><compiler fusestatic="false" discardvisual="false"/></mujoco></robot>'
-    text = problem.URDF.read_text(encoding="utf-8").replace("</robot>", keep)
+    compiler_options = (
+        '<mujoco><compiler fusestatic="false" discardvisual="false"/></mujoco></robot>'
+    )
+    text = problem.URDF.read_text(encoding="utf-8").replace("</robot>", compiler_options)
     model = mj.MjModel.from_xml_string(text)
     data, body = mj.MjData(model), model.body(problem.TOOL).id
     jacobian, pose = np.empty((6, model.nv)), np.eye(4)

@@ -13,7 +13,7 @@ from comparison import problem
 from comparison.peer import Pair
 from comparison.problem import Array
 
-KEEP = np.where(np.arange(6) == problem.YIELDS, 1.0 - problem.ETA, 1.0)
+KEPT_SHARE = np.where(np.arange(6) == problem.YIELDS, 1.0 - problem.ETA, 1.0)
 SOFT = np.where(np.arange(6) == problem.YIELDS, problem.SOFT, problem.HOLD)
 FIRM = np.where(np.arange(6) == problem.YIELDS, problem.FIRM, problem.HOLD)
 D_MINUS, D_PLUS = problem.D_MINUS, problem.D_PLUS
@@ -30,21 +30,21 @@ def compile_for(
         The functions `kinematics`, `step` and `batch` of `Implementation`.
     """
     links, n = arm.links, arm.n
-    middle, weights, rest = arm.middle, arm.limit_weights, arm.rest
+    middle, weights, rest_q = arm.middle, arm.limit_weights, arm.rest
 
     @njit(error_model="numpy", inline="always")
     def fill(q: Array, pose: Array, jacobian: Array) -> None:
-        frame, turned = np.empty((3, 4)), np.empty((3, 2))
-        axes, places = np.empty((3, n)), np.empty((3, n))
+        frame, rotated = np.empty((3, 4)), np.empty((3, 2))
+        axes, origins = np.empty((3, n)), np.empty((3, n))
         frame[:] = links[0, :3]
         for i in range(n):
             c, s = math.cos(q[i]), math.sin(q[i])
             for r in range(3):
-                axes[r, i], places[r, i] = frame[r, 2], frame[r, 3]
-                turned[r, 0] = c * frame[r, 0] + s * frame[r, 1]
-                turned[r, 1] = c * frame[r, 1] - s * frame[r, 0]
+                axes[r, i], origins[r, i] = frame[r, 2], frame[r, 3]
+                rotated[r, 0] = c * frame[r, 0] + s * frame[r, 1]
+                rotated[r, 1] = c * frame[r, 1] - s * frame[r, 0]
             for r in range(3):
-                x, y, z, p = turned[r, 0], turned[r, 1], frame[r, 2], frame[r, 3]
+                x, y, z, p = rotated[r, 0], rotated[r, 1], frame[r, 2], frame[r, 3]
                 for k in range(4):
                     frame[r, k] = (
                         x * links[i + 1, 0, k] + y * links[i + 1, 1, k] + z * links[i + 1, 2, k]
@@ -58,9 +58,9 @@ def compile_for(
         for i in range(n):
             ax, ay, az = axes[0, i], axes[1, i], axes[2, i]
             x, y, z = (
-                frame[0, 3] - places[0, i],
-                frame[1, 3] - places[1, i],
-                frame[2, 3] - places[2, i],
+                frame[0, 3] - origins[0, i],
+                frame[1, 3] - origins[1, i],
+                frame[2, 3] - origins[2, i],
             )
             jacobian[0, i] = ay * z - az * y
             jacobian[1, i] = az * x - ax * z
@@ -83,18 +83,22 @@ def compile_for(
 
     @njit(error_model="numpy", inline="always")
     def deviation(pose: Array, target: Array, e: Array) -> None:
-        turn = np.empty((3, 3))
+        rotation = np.empty((3, 3))
         for r in range(3):
             e[r] = target[r, 3] - pose[r, 3]
             for c in range(3):
-                turn[r, c] = (
+                rotation[r, c] = (
                     target[r, 0] * pose[c, 0]
                     + target[r, 1] * pose[c, 1]
                     + target[r, 2] * pose[c, 2]
                 )
-        x, y, z = turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]
+        x, y, z = (
+            rotation[2, 1] - rotation[1, 2],
+            rotation[0, 2] - rotation[2, 0],
+            rotation[1, 0] - rotation[0, 1],
+        )
         sine = math.sqrt(x * x + y * y + z * z)
-        angle = math.atan2(sine, turn[0, 0] + turn[1, 1] + turn[2, 2] - 1.0)
+        angle = math.atan2(sine, rotation[0, 0] + rotation[1, 1] + rotation[2, 2] - 1.0)
         scale = angle / sine if sine > 1e-12 else 0.5
         e[3], e[4], e[5] = scale * x, scale * y, scale * z
 
@@ -136,19 +140,19 @@ def compile_for(
         goal, limit = np.zeros(n), np.zeros(n)
         gradient, null = np.empty(n), np.empty(n)
         for i in range(n):
-            gradient[i] = (q[i] - rest[i]) + weights[i] * (q[i] - middle[i])
+            gradient[i] = (q[i] - rest_q[i]) + weights[i] * (q[i] - middle[i])
             null[i] = gradient[i]
         for r in range(6):
-            adapted = KEEP[r] * e[r]
-            along, total = 0.0, 0.0
+            adapted = KEPT_SHARE[r] * e[r]
+            dot, total = 0.0, 0.0
             for i in range(n):
-                along += jacobian[r, i] * gradient[i]
+                dot += jacobian[r, i] * gradient[i]
                 total += abs(p[r, i])
             c = min(max((D_PLUS[r] - abs(adapted)) / (D_PLUS[r] - D_MINUS[r]), 0.0), 1.0)
             share = (c * SOFT[r] + (1.0 - c) * FIRM[r]) / total
             for i in range(n):
                 goal[i] += p[r, i] * (GAIN * adapted)
-                null[i] -= p[r, i] * along
+                null[i] -= p[r, i] * dot
                 limit[i] += abs(p[r, i]) * share
         total = 0.0
         for i in range(n):

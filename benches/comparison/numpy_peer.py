@@ -76,29 +76,33 @@ def law_of(arm: problem.Arm) -> Callable[[Array, Array, Array, Array], Pair]:
     """
     compliant = np.arange(6) == problem.YIELDS
     pull = problem.GAIN * (1.0 - problem.ETA * compliant)
-    keep = pull / problem.GAIN
+    factor = pull / problem.GAIN
     width = problem.D_PLUS - problem.D_MINUS
-    weights, middle, rest = arm.limit_weights, arm.middle, arm.rest
+    weights, middle, rest_q = arm.limit_weights, arm.middle, arm.rest
     e = np.empty(6)
 
     def law(q: Array, target: Array, pose: Array, jacobian: Array) -> Pair:
         e[:3] = target[:3, 3] - pose[:3, 3]
-        turn = target[:3, :3] @ pose[:3, :3].T
-        x, y, z = turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]
+        rotation = target[:3, :3] @ pose[:3, :3].T
+        x, y, z = (
+            rotation[2, 1] - rotation[1, 2],
+            rotation[0, 2] - rotation[2, 0],
+            rotation[1, 0] - rotation[0, 1],
+        )
         sine = math.sqrt(x * x + y * y + z * z)
-        angle = math.atan2(sine, turn[0, 0] + turn[1, 1] + turn[2, 2] - 1.0)
+        angle = math.atan2(sine, rotation[0, 0] + rotation[1, 1] + rotation[2, 2] - 1.0)
         scale = angle / sine if sine > 1e-12 else 0.5
         e[3], e[4], e[5] = scale * x, scale * y, scale * z
         gram = jacobian @ jacobian.T
         gram.flat[::7] += problem.DAMPING**2
         inverse = np.linalg.solve(gram, jacobian).T
-        gradient = (q - rest) + weights * (q - middle)
+        gradient = (q - rest_q) + weights * (q - middle)
         null = gradient - inverse @ (jacobian @ gradient)
         goal = q + problem.HORIZON * (inverse @ (pull * e) - problem.ALPHA * null)
         shares = np.abs(inverse)
         shares /= shares.sum(axis=0)
         null_share = np.abs(null)
-        c = np.minimum(np.maximum((problem.D_PLUS - np.abs(keep * e)) / width, 0.0), 1.0)
+        c = np.minimum(np.maximum((problem.D_PLUS - np.abs(factor * e)) / width, 0.0), 1.0)
         strength = np.where(compliant, c * problem.SOFT + (1.0 - c) * problem.FIRM, problem.HOLD)
         return goal, shares @ strength + null_share * (problem.NULL / null_share.sum())
 

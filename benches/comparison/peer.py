@@ -13,7 +13,7 @@ Pair = tuple[Array, Array]
 
 @dataclass
 class Implementation:
-    """Compared implementation of up to three functions; one that it lacks is None.
+    """Compared implementation of up to three functions; missing functions are None.
 
     Attributes:
         version: Name and version of the library, for the table.
@@ -38,8 +38,8 @@ class Implementation:
     def step_pair(self, q: Array, target: Array) -> Pair:
         """Call `step`; return joint goals (n,) [rad] and torque limits (n,) [N·m] as a tuple."""
         assert self.step is not None
-        found = self.step(q, target)
-        return found if isinstance(found, tuple) else (found.goal, found.torque_limit)
+        result = self.step(q, target)
+        return result if isinstance(result, tuple) else (result.goal, result.torque_limit)
 
 
 def loop(kinematics: Callable[[Array], Pair]) -> Callable[[Array], Pair]:

@@ -41,23 +41,23 @@ def make() -> Implementation:
     Its timed calls of the kinematics write into preallocated arrays.
     """
     model = pliant.Model.from_urdf(problem.URDF, tip=problem.TOOL)
-    ours = controller(model)
+    law_controller = controller(model)
     pose, jacobian = np.empty((4, 4)), np.empty((6, model.n))
-    kept: dict[int, Any] = {}
+    states: dict[int, Any] = {}
 
     def batch(configurations: Array) -> Pair:
         count = len(configurations)
-        if count not in kept:
-            kept[count] = (np.empty((count, 4, 4)), np.empty((count, 6, model.n)))
-        return model.kinematics_batch(configurations, out=kept[count])
+        if count not in states:
+            states[count] = (np.empty((count, 4, 4)), np.empty((count, 6, model.n)))
+        return model.kinematics_batch(configurations, out=states[count])
 
     takes_arrays = "out" in str(inspect.signature(model.kinematics_batch))
     return Implementation(
-        version=f"pliant {pliant.__version__}, {instructions(ours)}",
+        version=f"pliant {pliant.__version__}, {instructions(law_controller)}",
         kinematics=model.kinematics,
         kinematics_call="k(q, out=arrays)",
         names={"k": model.kinematics, "arrays": (pose, jacobian)},
-        step=ours.step,
+        step=law_controller.step,
         step_call="c = f(q, t); c.goal; c.torque_limit",
         batch=batch if takes_arrays else model.kinematics_batch,
     )

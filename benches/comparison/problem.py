@@ -72,20 +72,20 @@ def bench_arm() -> Arm:
     The URDF is a serial chain whose joints are listed from base to tool.
     """
     links, lower, upper = [], [], []
-    here = np.eye(4)
+    pose = np.eye(4)
     for joint in ET.parse(URDF).getroot().iter("joint"):
-        here = here @ _origin(joint.find("origin"))
+        pose = pose @ _origin(joint.find("origin"))
         if joint.get("type") == "revolute":
             axis, limit = joint.find("axis"), joint.find("limit")
             assert axis is not None
             assert limit is not None
-            turn = np.eye(4)
-            turn[:3, :3] = _z_to(_numbers(axis.get("xyz", "1 0 0")))
-            links.append(here @ turn)
-            here = turn.T
+            axis_rotation = np.eye(4)
+            axis_rotation[:3, :3] = _z_to(_numbers(axis.get("xyz", "1 0 0")))
+            links.append(pose @ axis_rotation)
+            pose = axis_rotation.T
             lower.append(float(limit.get("lower", "nan")))
             upper.append(float(limit.get("upper", "nan")))
-    return Arm(np.array([*links, here]), np.array(lower), np.array(upper))
+    return Arm(np.array([*links, pose]), np.array(lower), np.array(upper))
 
 
 def states(arm: Arm) -> list[tuple[Array, Array]]:
@@ -94,12 +94,12 @@ def states(arm: Arm) -> list[tuple[Array, Array]]:
     The second of a pair is a little further on the path; the tool's pose there is the target.
     """
 
-    def at(turn: float, phase: float) -> Array:
-        wave = np.sin(turn + 0.9 * np.arange(arm.n) + phase)
+    def at(angle: float, phase: float) -> Array:
+        wave = np.sin(angle + 0.9 * np.arange(arm.n) + phase)
         return arm.middle + 0.2 * (arm.upper - arm.lower) * wave
 
-    turns = [2.0 * np.pi * s / STATES for s in range(STATES)]
-    return [(at(turn, 0.0), at(turn, 0.05)) for turn in turns]
+    angles = [2.0 * np.pi * s / STATES for s in range(STATES)]
+    return [(at(turn, 0.0), at(turn, 0.05)) for turn in angles]
 
 
 def many(arm: Arm, count: int) -> Array:
@@ -132,4 +132,4 @@ def _z_to(axis: Array) -> Array:
 
 
 def _numbers(text: str) -> Array:
-    return np.array([float(word) for word in text.split()])
+    return np.array([float(token) for token in text.split()])

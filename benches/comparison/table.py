@@ -40,30 +40,30 @@ class Row:
 
 def rows(processes: list[TimedProcess]) -> list[Row]:
     """Return one row per process; the first process must be pliant, the reference of the ratios."""
-    ours = processes[0]
+    own = processes[0]
     out = []
-    for timed in processes:
-        single = np.array(timed.singles.get("step/single", []))
-        empty = np.array(timed.singles.get("empty/single", [0.0]))
+    for process in processes:
+        single = np.array(process.singles.get("step/single", []))
+        empty = np.array(process.singles.get("empty/single", [0.0]))
         tail = np.percentile(single, 99.9) - np.median(empty) if single.size else np.nan
         out.append(
             Row(
-                timed.name,
-                timed.version,
-                float(np.nanmedian(net(timed, "step"))) / 1e3,
+                process.name,
+                process.version,
+                float(np.nanmedian(net(process, "step"))) / 1e3,
                 float(tail) / 1e3,
-                float(np.nanmedian(net(timed, "kinematics"))) / 1e3,
-                1e3 / float(np.nanmedian(timed.medians["batch/whole"])),
-                float(np.nanmedian(net(timed, "step") / net(ours, "step"))),
-                float(np.nanmedian(net(timed, "kinematics") / net(ours, "kinematics"))),
+                float(np.nanmedian(net(process, "kinematics"))) / 1e3,
+                1e3 / float(np.nanmedian(process.medians["batch/whole"])),
+                float(np.nanmedian(net(process, "step") / net(own, "step"))),
+                float(np.nanmedian(net(process, "kinematics") / net(own, "kinematics"))),
             )
         )
     return out
 
 
-def net(timed: TimedProcess, task: str) -> np.ndarray:
+def net(process: TimedProcess, task: str) -> np.ndarray:
     """Return the time of one call of a task in each round [ns], minus that of the empty loop."""
-    return np.array(timed.medians[f"{task}/whole"]) - np.array(timed.medians["empty/whole"])
+    return np.array(process.medians[f"{task}/whole"]) - np.array(process.medians["empty/whole"])
 
 
 def where() -> str:
@@ -81,21 +81,21 @@ def processor() -> str:
         text = Path("/proc/cpuinfo").read_text(encoding="utf-8")
     except OSError:
         return platform.processor() or platform.machine()
-    said = dict(
+    fields = dict(
         (key.strip(), value.strip())
         for key, _, value in (line.partition(":") for line in text.splitlines())
     )
-    family = f" family {said['cpu family']}" if "cpu family" in said else ""
-    return f"{said.get('model name', platform.machine())}{family}, {os.cpu_count()} cores"
+    family = f" family {fields['cpu family']}" if "cpu family" in fields else ""
+    return f"{fields.get('model name', platform.machine())}{family}, {os.cpu_count()} cores"
 
 
-def markdown(found: list[Row]) -> str:
+def markdown(table_rows: list[Row]) -> str:
     """Return the rows as a Markdown table."""
     lines = [
         "| | step, median | × ours | p99.9 | FK + J | × ours | batch FK + J, one core |",
         "|---|---:|---:|---:|---:|---:|---:|",
     ]
-    for row in found:
+    for row in table_rows:
         cells = (
             f"{row.name}",
             f"{row.step:.2f} µs",
@@ -115,7 +115,7 @@ def floor(processes: list[TimedProcess]) -> float:
     return float(np.percentile(empty, 99.9) - np.median(empty)) / 1e3
 
 
-def plot(found: list[Row], path: Path, note: str) -> None:
+def plot(table_rows: list[Row], path: Path, note: str) -> None:
     """Draw the times of all rows on logarithmic axes into the file `path`.
 
     The left plot has a line per step, from the median to the 99.9th percentile; the right plot has
@@ -127,21 +127,21 @@ def plot(found: list[Row], path: Path, note: str) -> None:
     import matplotlib.pyplot as plt
     from matplotlib.ticker import FuncFormatter
 
-    figure, axes = plt.subplots(1, 2, figsize=(10, 0.34 * len(found) + 1.7), sharey=True)
-    places = np.arange(len(found))
+    figure, axes = plt.subplots(1, 2, figsize=(10, 0.34 * len(table_rows) + 1.7), sharey=True)
+    positions = np.arange(len(table_rows))
     parts = (
-        (axes[0], "one step of law paper", [(row.step, row.tail) for row in found]),
-        (axes[1], "pose and Jacobian", [(row.kinematics, row.kinematics) for row in found]),
+        (axes[0], "one step of law paper", [(row.step, row.tail) for row in table_rows]),
+        (axes[1], "pose and Jacobian", [(row.kinematics, row.kinematics) for row in table_rows]),
     )
     for axis, title, values in parts:
-        for place, row, (median, tail) in zip(places, found, values, strict=True):
+        for position, row, (median, tail) in zip(positions, table_rows, values, strict=True):
             colour = "#c1121f" if row.name.startswith("pliant") else "#33415c"
-            axis.plot([median, tail], [place, place], color=colour, linewidth=1.2, alpha=0.45)
-            axis.plot(median, place, "o", color=colour, markersize=7)
+            axis.plot([median, tail], [position, position], color=colour, linewidth=1.2, alpha=0.45)
+            axis.plot(median, position, "o", color=colour, markersize=7)
             text = f"{median:.2f}" if median < 10.0 else f"{median:.0f}"
             axis.annotate(
                 text,
-                (median, place),
+                (median, position),
                 (-8, 0),
                 textcoords="offset points",
                 **{"va": "center", "ha": "right", "fontsize": 9, "color": colour},
@@ -156,7 +156,7 @@ def plot(found: list[Row], path: Path, note: str) -> None:
         axis.tick_params(axis="y", length=0)
     axes[0].set_xlabel("from Python [µs], logarithmic: dot median, line to p99.9")
     axes[1].set_xlabel("from Python [µs], logarithmic: median")
-    axes[0].set_yticks(places, [row.name for row in found])
+    axes[0].set_yticks(positions, [row.name for row in table_rows])
     axes[0].invert_yaxis()
     figure.text(0.005, 0.008, note, fontsize=7, color="0.4")
     figure.tight_layout(rect=(0, 0.03, 1, 1))
@@ -165,6 +165,8 @@ def plot(found: list[Row], path: Path, note: str) -> None:
     plt.close(figure)
 
 
-def _git(*words: str) -> str:
-    done = subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=False)
-    return done.stdout.strip() if done.returncode == 0 else ""
+def _git(*arguments: str) -> str:
+    result = subprocess.run(
+        ["git", *arguments], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    return result.stdout.strip() if result.returncode == 0 else ""

@@ -17,7 +17,7 @@ from typing import Any, Self
 import numpy as np
 
 from comparison import numpy_peer, problem
-from comparison.environments import BUILD, OURS, PATHS, ROOT, Entry, python_for
+from comparison.environments import BUILD, PATHS, PLIANT_ENTRIES, ROOT, Entry, python_for
 
 TASKS = ("kinematics", "step", "batch")
 TOLERANCE = 1e-9
@@ -51,10 +51,10 @@ class TimedProcess:
     @property
     def name(self) -> str:
         """Name of the implementation in the table; pliant's contains the instruction set in use."""
-        if self.entry not in OURS:
+        if self.entry not in PLIANT_ENTRIES:
             return self.entry.name
-        chosen = self.version.rpartition(", ")[2]
-        return f"pliant ({chosen})" if chosen in PATHS else "pliant"
+        build = self.version.rpartition(", ")[2]
+        return f"pliant ({build})" if build in PATHS else "pliant"
 
     @classmethod
     def start(cls, entry: Entry) -> tuple[Self | None, str]:
@@ -84,16 +84,16 @@ class TimedProcess:
             text=True,
             env=environment,
         )
-        timed = cls(entry, process)
-        first = timed._answer()
+        timed_process = cls(entry, process)
+        first = timed_process._answer()
         if "missing" in first:
             return None, first["missing"]
-        wrong = disagreement(first["results"])
-        if wrong:
-            timed.stop()
-            return None, f"DISAGREES with the reference: {wrong}"
-        timed.version = first["version"]
-        return timed, ""
+        difference = disagreement(first["results"])
+        if difference:
+            timed_process.stop()
+            return None, f"DISAGREES with the reference: {difference}"
+        timed_process.version = first["version"]
+        return timed_process, ""
 
     def ask(self, task: str, seconds: float) -> list[float]:
         """Time a task in the process for about `seconds`; return times per call [ns]."""
@@ -128,22 +128,22 @@ def disagreement(results: dict[str, Any]) -> str:
     reference = numpy_peer.make()
     assert reference.kinematics is not None
     kinematics = reference.kinematics
-    pairs = [(q, kinematics(ahead)[0]) for q, ahead in problem.states(arm)]
+    pairs = [(q, kinematics(target_q)[0]) for q, target_q in problem.states(arm)]
     expected = {
         "kinematics": [kinematics(q) for q, _ in pairs],
         "step": [reference.step_pair(q, t) for q, t in pairs],
         "batch": [kinematics(q) for q in problem.many(arm, problem.STATES)],
     }
-    said = []
-    for task, found in results.items():
-        off = max(
-            float(np.abs(np.asarray(got) - right).max())
-            for pair, rights in zip(found, expected[task], strict=True)
-            for got, right in zip(pair, rights, strict=True)
+    differences = []
+    for task, result in results.items():
+        error = max(
+            float(np.abs(np.asarray(value) - right).max())
+            for pair, rights in zip(result, expected[task], strict=True)
+            for value, right in zip(pair, rights, strict=True)
         )
-        if not off <= TOLERANCE:
-            said.append(f"{task} by {off:.2g}")
-    return ", ".join(said)
+        if not error <= TOLERANCE:
+            differences.append(f"{task} by {error:.2g}")
+    return ", ".join(differences)
 
 
 def run_rounds(processes: list[TimedProcess], rounds: int) -> None:
@@ -152,21 +152,21 @@ def run_rounds(processes: list[TimedProcess], rounds: int) -> None:
     The times are stored in the processes' `medians` and `singles`.
     """
     draw = random.Random(20260101)
-    turns = [
-        (timed, f"{task}/{kind}", kind)
-        for timed in processes
+    schedule = [
+        (process, f"{task}/{kind}", kind)
+        for process in processes
         for task in ("empty", *TASKS)
         for kind in TASK_TIME
         if not (task == "batch" and kind == "single")
     ]
     for number in range(rounds):
-        draw.shuffle(turns)
-        for timed, task, kind in turns:
-            times = timed.ask(task, TASK_TIME[kind])
+        draw.shuffle(schedule)
+        for process, task, kind in schedule:
+            times = process.ask(task, TASK_TIME[kind])
             if kind == "single":
-                timed.singles.setdefault(task, []).extend(times)
+                process.singles.setdefault(task, []).extend(times)
             else:
                 median = statistics.median(times) if times else float("nan")
-                timed.medians.setdefault(task, []).append(median)
+                process.medians.setdefault(task, []).append(median)
         print(f"\r   round {number + 1} of {rounds}", end="", file=sys.stderr, flush=True)
     print(file=sys.stderr)

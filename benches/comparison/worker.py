@@ -51,8 +51,8 @@ def block():
 def chunks(pairs: list[Any], count: int) -> Iterator[list[Any]]:
     """Return an endless iterator of lists, each with the next `count` of the states `pairs`."""
     states = itertools.cycle(pairs)
-    ready = [list(itertools.islice(states, count)) for _ in pairs]
-    return itertools.cycle(ready)
+    prepared = [list(itertools.islice(states, count)) for _ in pairs]
+    return itertools.cycle(prepared)
 
 
 def blocks_of(peer: Implementation, pairs: list[Any]) -> dict[str, Callable[[], list[float]]]:
@@ -65,27 +65,27 @@ def blocks_of(peer: Implementation, pairs: list[Any]) -> dict[str, Callable[[], 
         calls["kinematics"] = (peer.kinematics_call, peer.kinematics)
     if peer.step:
         calls["step"] = (peer.step_call, peer.step)
-    made = {}
+    blocks = {}
     for task, (call, function) in calls.items():
         for kind, template in (("whole", WHOLE), ("single", SINGLE)):
             names = {"now": time.perf_counter_ns, "f": function, **peer.names}
             exec(template.format(call=call), names)
             names["chunks"] = chunks(pairs, len(pairs))
-            each = min(names["block"]() + names["block"]())
-            count = min(max(int(BLOCK_TIME / (each + 1.0)), 4), BLOCK_CALLS)
+            call_time = min(names["block"]() + names["block"]())
+            count = min(max(int(BLOCK_TIME / (call_time + 1.0)), 4), BLOCK_CALLS)
             names["chunks"] = chunks(pairs, count)
-            made[f"{task}/{kind}"] = names["block"]
+            blocks[f"{task}/{kind}"] = names["block"]
     if peer.batch:
-        many = problem.many(problem.bench_arm(), peer.batch_size)
+        batch_states = problem.many(problem.bench_arm(), peer.batch_size)
         batch = peer.batch
 
         def timed() -> list[float]:
             start = time.process_time_ns()
-            batch(many)
-            return [(time.process_time_ns() - start) / len(many)]
+            batch(batch_states)
+            return [(time.process_time_ns() - start) / len(batch_states)]
 
-        made["batch/whole"] = timed
-    return made
+        blocks["batch/whole"] = timed
+    return blocks
 
 
 def waited() -> int:
@@ -105,21 +105,21 @@ def results(peer: Implementation, pairs: list[Any]) -> dict[str, Any]:
 
     `pairs` are the states: joint positions and target poses.
     """
-    found: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     if peer.kinematics:
-        found["kinematics"] = [
+        values["kinematics"] = [
             [np.asarray(x).tolist() for x in peer.kinematics(q)] for q, _ in pairs
         ]
     if peer.step:
-        found["step"] = [[np.asarray(x).tolist() for x in peer.step_pair(q, t)] for q, t in pairs]
+        values["step"] = [[np.asarray(x).tolist() for x in peer.step_pair(q, t)] for q, t in pairs]
     if peer.batch:
-        many = problem.many(problem.bench_arm(), problem.STATES)
-        poses, jacobians = peer.batch(many)
-        found["batch"] = [
+        batch_states = problem.many(problem.bench_arm(), problem.STATES)
+        poses, jacobians = peer.batch(batch_states)
+        values["batch"] = [
             [pose.tolist(), jacobian.tolist()]
             for pose, jacobian in zip(np.asarray(poses), np.asarray(jacobians), strict=True)
         ]
-    return found
+    return values
 
 
 def run(blocks: dict[str, Callable[[], list[float]]], task: str, seconds: float) -> list[float]:
@@ -160,14 +160,14 @@ def main() -> None:
         return
     arm = problem.bench_arm()
     kinematics = numpy_peer.kinematics_of(arm)
-    pairs = [(q, kinematics(ahead)[0]) for q, ahead in problem.states(arm)]
+    pairs = [(q, kinematics(target_q)[0]) for q, target_q in problem.states(arm)]
     answer = {"version": peer.version, "results": results(peer, pairs)}
     print(json.dumps(answer), file=answers, flush=True)
     blocks = blocks_of(peer, pairs)
     gc.collect()
     for line in sys.stdin:
-        asked = json.loads(line)
-        times = run(blocks, asked["task"], asked["seconds"])
+        request = json.loads(line)
+        times = run(blocks, request["task"], request["seconds"])
         print(json.dumps(times), file=answers, flush=True)
 
 

@@ -150,41 +150,41 @@ def _top(column: Array, count: int) -> str:
     return listed([f"{JOINTS[i]} {column[i]:.2f}" for i in order])
 
 
-def _lead(column: Array, wanted: tuple[int, ...], ignored: tuple[int, ...] = ()) -> float:
+def _lead(column: Array, joints: tuple[int, ...], ignored: tuple[int, ...] = ()) -> float:
     """Return the smallest share of the wanted joints minus the largest share of the others.
 
     Args:
         column: Shares of the joints (7,) in one task axis.
-        wanted: Indices of the joints whose shares should be the largest.
+        joints: Indices of the joints whose shares should be the largest.
         ignored: Indices of joints that count neither as wanted nor as others.
     """
-    rest = [i for i in range(7) if i not in {*wanted, *ignored}]
-    return float(column[list(wanted)].min() - column[rest].max())
+    others = [i for i in range(7) if i not in {*joints, *ignored}]
+    return float(column[list(joints)].min() - column[others].max())
 
 
 def _paper(share: Mapping[str, Array]) -> tuple[Statement, ...]:
     x = {pose: share[pose][:, 0] for pose in POSES}
     y = {pose: share[pose][:, 1] for pose in POSES}
     yaw = {pose: share[pose][:, 5] for pose in POSES}
-    more = "lead over the next joint"
+    unit = "lead over the next joint"
     small = max(np.delete(column, [0, 3]).max() for column in x.values())
     return (
         Statement(
             claim="In both poses, motion in x is the work of elbow and shoulder pitch.",
             outcome=f"Largest in x: {_top(x['vertical'], 2)} (vertical); "
             f"{_top(x['horizontal'], 2)} (horizontal).",
-            tests=tuple(at_least(f"{more}, {pose}", _lead(x[pose], (0, 3)), 0.0) for pose in POSES),
+            tests=tuple(at_least(f"{unit}, {pose}", _lead(x[pose], (0, 3)), 0.0) for pose in POSES),
         ),
         Statement(
             claim="Vertical grasp: the wrist pitch takes part in x.",
             outcome=f"It comes third: {_top(x['vertical'], 3)}.",
-            tests=(at_least(more, _lead(x["vertical"], (5,), (0, 3)), 0.0),),
+            tests=(at_least(unit, _lead(x["vertical"], (5,), (0, 3)), 0.0),),
         ),
         Statement(
             claim="Horizontal grasp: the wrist roll takes that part.",
             outcome=f"{_top(x['horizontal'], 3).capitalize()}; the wrist pitch has "
             f"{x['horizontal'][5]:.2f}.",
-            tests=(at_least(more, _lead(x["horizontal"], (6,), (0, 3)), 0.0),),
+            tests=(at_least(unit, _lead(x["horizontal"], (6,), (0, 3)), 0.0),),
         ),
         Statement(
             claim="Other joints of shoulder and wrist contribute less to x.",
@@ -197,7 +197,7 @@ def _paper(share: Mapping[str, Array]) -> tuple[Statement, ...]:
         Statement(
             claim="Vertical grasp: y is mostly shoulder roll, shoulder yaw and wrist yaw.",
             outcome=f"Largest in y: {_top(y['vertical'], 4)}.",
-            tests=(at_least(more, _lead(y["vertical"], (1, 2, 4)), 0.0),),
+            tests=(at_least(unit, _lead(y["vertical"], (1, 2, 4)), 0.0),),
             because="the three are there, but the wrist pitch has as much "
             f"({y['vertical'][5]:.2f}); our lengths and wrist angles are not Cosero's.",
         ),
@@ -215,12 +215,12 @@ def _paper(share: Mapping[str, Array]) -> tuple[Statement, ...]:
             claim="Yaw needs shoulder roll, wrist yaw and wrist roll (read: in the horizontal "
             "grasp).",
             outcome=f"Largest in yaw: {_top(yaw['horizontal'], 3)}.",
-            tests=(at_least(more, _lead(yaw["horizontal"], (1, 4, 6)), 0.0),),
+            tests=(at_least(unit, _lead(yaw["horizontal"], (1, 4, 6)), 0.0),),
         ),
         Statement(
             claim="Vertical grasp: yaw is mostly shoulder roll and wrist pitch.",
             outcome=f"Largest in yaw: {_top(yaw['vertical'], 3)}.",
-            tests=(at_least(more, _lead(yaw["vertical"], (1, 5)), 0.0),),
+            tests=(at_least(unit, _lead(yaw["vertical"], (1, 5)), 0.0),),
         ),
     )
 
@@ -301,10 +301,10 @@ def posture(
 
 def beside(plant: Plant) -> dict[str, Any]:
     """Return arguments of `Studio` for a camera that shows the whole arm from its side."""
-    places = plant.mj_data.site_xpos
-    middle = (places.min(axis=0) + places.max(axis=0)) / 2
-    radius = float(np.linalg.norm(places - middle, axis=1).max())
-    out = plant.tool[:2, 3] - places[0, :2]
+    positions = plant.mj_data.site_xpos
+    middle = (positions.min(axis=0) + positions.max(axis=0)) / 2
+    radius = float(np.linalg.norm(positions - middle, axis=1).max())
+    out = plant.tool[:2, 3] - positions[0, :2]
     heading = float(np.rad2deg(np.arctan2(out[1], out[0])))
     return {
         "look_at": middle,
@@ -330,22 +330,22 @@ def heat(ax: Axes, matrix: Array, joints: Sequence[str], columns: Sequence[str])
     The last column belongs to the null space. `joints` and `columns` name rows and columns.
     """
     rows, count = matrix.shape
-    left = np.arange(count, dtype=np.float64)
-    left[-1] += GAP
+    edges = np.arange(count, dtype=np.float64)
+    edges[-1] += GAP
     for k in range(count):
         for i in range(rows):
             value = float(matrix[i, k])
             shade = SHADES(min(max(value, 0.0) / FULL, 1.0))
-            ax.add_patch(_cell(left[k], i, shade))
+            ax.add_patch(_cell(edges[k], i, shade))
             if value >= 0.005:
                 ink = PALE if value > 0.45 * FULL else DARK
                 text = f"{value:.2f}".lstrip("0")
                 ax.text(
-                    left[k] + 0.5, i + 0.5, text, ha="center", va="center", color=ink, fontsize=8.5
+                    edges[k] + 0.5, i + 0.5, text, ha="center", va="center", color=ink, fontsize=8.5
                 )
-    ax.set_xlim(0.0, left[-1] + 1.0)
+    ax.set_xlim(0.0, edges[-1] + 1.0)
     ax.set_ylim(rows, 0.0)
-    ax.set_xticks(left + 0.5, columns)
+    ax.set_xticks(edges + 0.5, columns)
     ax.set_yticks(np.arange(rows) + 0.5, joints)
     ax.xaxis.tick_top()
     ax.tick_params(length=0)

@@ -38,10 +38,10 @@ def promises(arm: str, pose: int) -> list[Promise]:
 
 def jobs(options: Options) -> list[Job]:
     """Return one job for each arm and pose."""
-    places = [(arm, i) for arm, count in POSES.items() for i in range(min(count, _drawn(arm)))]
+    poses = [(arm, i) for arm, count in POSES.items() for i in range(min(count, _drawn(arm)))]
     if options.quick:
-        places = [QUICK]
-    return [Job(f"{arm} {pose}", promises, (arm, pose)) for arm, pose in places]
+        poses = [QUICK]
+    return [Job(f"{arm} {pose}", promises, (arm, pose)) for arm, pose in poses]
 
 
 def _drawn(arm: str) -> int:
@@ -49,22 +49,22 @@ def _drawn(arm: str) -> int:
 
 
 def _by_arm(outcomes: Mapping[str, Sequence[Promise]]) -> dict[str, list[Promise]]:
-    found: dict[str, list[Promise]] = {}
-    for key, some in outcomes.items():
-        found.setdefault(key.split()[0], []).extend(some)
-    return found
+    by_arm: dict[str, list[Promise]] = {}
+    for key, results in outcomes.items():
+        by_arm.setdefault(key.split()[0], []).extend(results)
+    return by_arm
 
 
 def measure(outcomes: Mapping[str, Sequence[Promise]]) -> Numbers:
-    """Return the statistics `FIGURES` of each arm."""
-    rows = {a: table.summary(a, "nominal", found) for a, found in _by_arm(outcomes).items()}
+    """Return the attributes `FIGURES` of the statistics (`campaign.Row`) of each arm."""
+    rows = {a: table.summary(a, "nominal", results) for a, results in _by_arm(outcomes).items()}
     return {arm: {name: getattr(row, name) for name in FIGURES} for arm, row in rows.items()}
 
 
 def chapter(numbers: Numbers) -> Chapter:
     """Return the chapter with statements about the accuracy of the caps."""
     arm7 = numbers["arm7"]
-    clear = band(
+    clear_band = band(
         claim="With no joint near its stop the push-back is the cap, within 15 % and what the "
         "joints' friction hides, in 97 of 100 cases.",
         outcome=f"{100.0 * arm7['kept_clear']:.1f} % of the cases on arm7; median error of all "
@@ -89,16 +89,16 @@ def chapter(numbers: Numbers) -> Chapter:
         "at that distance. Caps that the servos cannot hold in a pose are refused beforehand.",
         caption="Thick: the middle half. Left: arm7 by axis; right: by arm. The whole campaign, "
         "with disturbances and real robots, is `python -m experiments.campaign`.",
-        statements=(clear, limits),
+        statements=(clear_band, limits),
     )
     rows = tuple(
         (
             arm,
-            str(one["poses"]),
-            str(one["cases"]),
-            *(f"{100.0 * one[name]:.1f} %" for name in FIGURES[2:]),
+            str(figures["poses"]),
+            str(figures["cases"]),
+            *(f"{100.0 * figures[name]:.1f} %" for name in FIGURES[2:]),
         )
-        for arm, one in numbers.items()
+        for arm, figures in numbers.items()
     )
     columns = ("arm", "poses", "cases", "refused", "in band", "clear of stops", "by a limit")
     return Chapter(
@@ -117,6 +117,6 @@ def draw(outcomes: Mapping[str, Sequence[Promise]], options: Options) -> None:
     """Draw the distributions of the force errors, by axis on `arm7` and by arm."""
     from experiments import campaign
 
-    found = _by_arm(outcomes)
-    axes = {axis: [p for p in found["arm7"] if p.axis == axis] for axis in AXES}
-    campaign.draw_errors({"arm7, by axis": axes, "By arm": found}, options.figures, "6-caps")
+    by_arm = _by_arm(outcomes)
+    axes = {axis: [p for p in by_arm["arm7"] if p.axis == axis] for axis in AXES}
+    campaign.draw_errors({"arm7, by axis": axes, "By arm": by_arm}, options.figures, "6-caps")

@@ -43,23 +43,23 @@ class Options:
 
 
 def drag(law: Callable[[], Law], *args: Any, **kwargs: Any) -> disturbances.DragResult:
-    """Run `disturbances.drag` with the law that the factory `law` returns; return its result.
+    """Run `disturbances.drag` with the result of the factory `law`; return its result.
 
-    With a factory, the process that runs the job makes the settings.
+    The factory is called in the process that runs the job.
     """
     return disturbances.drag(law(), *args, **kwargs)
 
 
 def track(law: Callable[[], Law], *args: Any, **kwargs: Any) -> tracking.TrackResult:
-    """Run `tracking.track` with the law that the factory `law` returns; return its result.
+    """Run `tracking.track` with the result of the factory `law`; return its result.
 
-    With a factory, the process that runs the job makes the settings.
+    The factory is called in the process that runs the job.
     """
     return tracking.track(law(), *args, **kwargs)
 
 
 def return_time(trace: Trace, axis: int, *, release: float = RELEASE) -> float | None:
-    """Return the time from the release until an axis has returned to its target for good [s].
+    """Return the time from the release until an axis stays at its target [s].
 
     Args:
         trace: Run in which a hand releases the arm.
@@ -71,20 +71,20 @@ def return_time(trace: Trace, axis: int, *, release: float = RELEASE) -> float |
         if the deviation is above it at the end of the run.
     """
     after = trace.t > release
-    away = np.abs(trace.error[after, axis]) > RETURN_TOLERANCE[axis // 3]
+    is_away = np.abs(trace.error[after, axis]) > RETURN_TOLERANCE[axis // 3]
     times = trace.t[after]
-    if not away.any():
+    if not is_away.any():
         return 0.0
-    last = int(np.flatnonzero(away)[-1])
+    last = int(np.flatnonzero(is_away)[-1])
     return None if last + 1 >= times.size else float(times[last + 1] - release)
 
 
 def return_speed(trace: Trace, axis: int, *, release: float = RELEASE) -> float:
     """Return the largest speed of a task axis after the release [m/s or rad/s]."""
     after = trace.t > release
-    along = trace.moved[after, axis]
+    displacement = trace.moved[after, axis]
     period = float(trace.t[1] - trace.t[0])
-    return float(np.abs(np.diff(along)).max() / period)
+    return float(np.abs(np.diff(displacement)).max() / period)
 
 
 def seconds(time: float | None) -> str:
@@ -107,13 +107,13 @@ LAW_COLOURS = {
 
 
 #: Offsets (dx, dy) of a label from its point [pt], in the order in which they are tried.
-PLACES = tuple((side * 8, dy) for dy in (0, 10, -10, 20, -20, 30, -30) for side in (1, -1))
+OFFSETS = tuple((side * 8, dy) for dy in (0, 10, -10, 20, -20, 30, -30) for side in (1, -1))
 
 
 def label_points(
     ax: Axes, points: Sequence[tuple[float, float, str, str]], *, size: float = 7.5
 ) -> None:
-    """Write a label beside each point, at the first offset of `PLACES` without an overlap.
+    """Write a label beside each point, at the first offset of `OFFSETS` without an overlap.
 
     If the label overlaps something at every offset, it is put to the right of its point. A label
     above or below its point gets a line to the point.
@@ -129,20 +129,20 @@ def label_points(
     figure.draw_without_rendering()
     scale = 72.0 / figure.dpi
     spots = [scale * ax.transData.transform((x, y)) for x, y, _, _ in points]
-    taken = [(px - 5, py - 5, px + 5, py + 5) for px, py in spots]
+    boxes = [(px - 5, py - 5, px + 5, py + 5) for px, py in spots]
     frame = scale * np.asarray(ax.get_window_extent().extents)
     for (x, y, text, colour), (px, py) in zip(points, spots, strict=True):
-        wide, high = 0.58 * size * len(text), 1.1 * size
-        for dx, dy in PLACES:
-            left = px + dx if dx > 0 else px + dx - wide
-            box = (left, py + dy - high / 2, left + wide, py + dy + high / 2)
-            inside = frame[0] <= box[0] and box[2] <= frame[2]
-            if inside and not any(_overlap(box, other) for other in taken):
+        width, high = 0.58 * size * len(text), 1.1 * size
+        for dx, dy in OFFSETS:
+            x0 = px + dx if dx > 0 else px + dx - width
+            box = (x0, py + dy - high / 2, x0 + width, py + dy + high / 2)
+            is_inside = frame[0] <= box[0] and box[2] <= frame[2]
+            if is_inside and not any(_overlap(box, other) for other in boxes):
                 break
         else:
-            dx, dy, box = 8, 0, (px + 8, py - high / 2, px + 8 + wide, py + high / 2)
-        taken.append(box)
-        far = abs(dy) > 0
+            dx, dy, box = 8, 0, (px + 8, py - high / 2, px + 8 + width, py + high / 2)
+        boxes.append(box)
+        is_far = abs(dy) > 0
         ax.annotate(
             text,
             (x, y),
@@ -153,7 +153,7 @@ def label_points(
             fontsize=size,
             color=colour,
             arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 0.5, "shrinkB": 4}
-            if far
+            if is_far
             else None,
         )
 

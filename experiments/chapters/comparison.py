@@ -122,7 +122,7 @@ def jobs(options: Options) -> list[Job]:
     added.
     """
     signs = (1,) if options.quick else (1, -1)
-    plain = [
+    pushes = [
         Job(
             f"{key}/{sign:+d}",
             drag,
@@ -132,8 +132,8 @@ def jobs(options: Options) -> list[Job]:
         for key in (QUICK if options.quick else METHODS)
         for sign in signs
     ]
-    return plain + stress_jobs(
-        {key: METHODS[key] for key in METHODS if f"{key}/+1" in _keys(plain)}
+    return pushes + stress_jobs(
+        {key: METHODS[key] for key in METHODS if f"{key}/+1" in _keys(pushes)}
     )
 
 
@@ -142,14 +142,14 @@ def _keys(jobs: list[Job]) -> set[str]:
 
 
 def measure(outcomes: Mapping[str, DragResult]) -> Numbers:
-    """Return the numbers of each method; each is the worse one of the two drag directions."""
-    gathered: dict[str, list[dict[str, float | None]]] = {}
+    """Return forces, displacements and return time by method: worse value of both directions."""
+    by_method: dict[str, list[dict[str, float | None]]] = {}
     for name, run in outcomes.items():
-        key, what = name.split("/")
-        if what in {"+1", "-1"}:
-            gathered.setdefault(key, []).append(_one(run))
+        key, run_name = name.split("/")
+        if run_name in {"+1", "-1"}:
+            by_method.setdefault(key, []).append(_one(run))
     return {
-        key: {**_worse(ones), **stress_measure(key, outcomes)} for key, ones in gathered.items()
+        key: {**_worse(ones), **stress_measure(key, outcomes)} for key, ones in by_method.items()
     }
 
 
@@ -170,13 +170,15 @@ def _one(run: DragResult) -> dict[str, float | None]:
 
 
 def _worse(ones: list[dict[str, float | None]]) -> dict[str, float | None]:
-    worse: dict[str, float | None] = {}
+    result: dict[str, float | None] = {}
     for name in ones[0]:
-        values = [one[name] for one in ones]
+        values = [entry[name] for entry in ones]
         known = [value for value in values if value is not None]
-        least = name == "moved"
-        worse[name] = None if len(known) < len(values) else min(known) if least else max(known)
-    return worse
+        is_minimum = name == "moved"
+        result[name] = (
+            None if len(known) < len(values) else min(known) if is_minimum else max(known)
+        )
+    return result
 
 
 def chapter(numbers: Numbers) -> Chapter:
@@ -195,7 +197,7 @@ def chapter(numbers: Numbers) -> Chapter:
         "Right: y over time for one method of each family, pushed toward +.",
         statements=(*_statements(numbers), *stress_statements(numbers)),
     )
-    ours, stiff = numbers["cap 0.999"], numbers["stiff"]
+    cap, stiff = numbers["cap 0.999"], numbers["stiff"]
     return Chapter(
         number=NUMBER,
         title=TITLE,
@@ -213,25 +215,25 @@ def chapter(numbers: Numbers) -> Chapter:
                 "force to move it 0.15 m: stiff",
                 f"{stiff['force']:.1f} N, {mm(stiff['drift'])} drift",
             ),
-            ("the same: cap, η 0.999", f"{ours['force']:.1f} N, {mm(ours['drift'])} drift"),
+            ("the same: cap, η 0.999", f"{cap['force']:.1f} N, {mm(cap['drift'])} drift"),
         ),
     )
 
 
 def _statements(numbers: Numbers) -> tuple[Statement, ...]:
-    ours, torque, stiff = numbers["cap 0.999"], numbers["impedance"], numbers["stiff"]
+    cap, torque, stiff = numbers["cap 0.999"], numbers["impedance"], numbers["stiff"]
     literal, uniform, firm = numbers["paper literal"], numbers["uniform 30"], numbers["cap 0"]
     paper = numbers["paper 0.999"]
     return (
         band(
             claim="A position-controlled arm needs no torque interface to be moved as easily as "
             "one that has it.",
-            outcome=f"Law cap (η 0.999): {ours['force']:.1f} N and {mm(ours['drift'])} of drift; "
+            outcome=f"Law cap (η 0.999): {cap['force']:.1f} N and {mm(cap['drift'])} of drift; "
             f"torque impedance: {torque['force']:.1f} N and {mm(torque['drift'])}; stiff: "
             f"{stiff['force']:.1f} N and {mm(stiff['drift'])}.",
             tests=(
-                at_most("force over torque impedance", ours["force"] / torque["force"], 1.2),
-                at_most("drift", ours["drift"], 0.005, "m"),
+                at_most("force over torque impedance", cap["force"] / torque["force"], 1.2),
+                at_most("drift", cap["drift"], 0.005, "m"),
             ),
         ),
         band(
@@ -273,15 +275,15 @@ def _table(numbers: Numbers) -> Table:
     rows = [
         (
             METHODS[key].name,
-            f"{one['force']:.1f} N",
-            f"{one['held']:.1f} N",
-            mm(one["drift"]),
-            f"{1e3 * one['rotation']:.0f} mrad",
-            seconds(one["returned"]),
-            mm(one["left"]),
-            f"{one['return_speed']:.2f} m/s",
+            f"{figures['force']:.1f} N",
+            f"{figures['held']:.1f} N",
+            mm(figures["drift"]),
+            f"{1e3 * figures['rotation']:.0f} mrad",
+            seconds(figures["returned"]),
+            mm(figures["left"]),
+            f"{figures['return_speed']:.2f} m/s",
         )
-        for key, one in numbers.items()
+        for key, figures in numbers.items()
     ]
     return Table(
         caption="A strong hand moves the tool by 0.15 m in y; the worse of both directions. Force: "
@@ -303,18 +305,18 @@ def _table(numbers: Numbers) -> Table:
 
 def draw(outcomes: Mapping[str, DragResult], options: Options) -> None:
     """Draw `5-comparison`: force against drift of each method, and y over time of some."""
-    shown = {key: METHODS[key] for key in METHODS if f"{key}/+1" in outcomes}
+    methods = {key: METHODS[key] for key in METHODS if f"{key}/+1" in outcomes}
     numbers = measure(outcomes)
-    traces = {key: outcomes[f"{key}/+1"].trace for key in shown}
-    draw_comparison(numbers, traces, shown, options.figures)
+    traces = {key: outcomes[f"{key}/+1"].trace for key in methods}
+    draw_comparison(numbers, traces, methods, options.figures)
 
 
 # --- The same hand with a stalled host, and with wrong assumptions about friction ---
 
 #: Start and end of the time in which the host neither reads nor writes, while the hand moves [s].
 STALL = (2.6, 3.6)
-#: True over assumed friction and damping of the gears: more than assumed, less than assumed.
-TIGHT, LOOSE = 1.0 / 0.7, 1.0 / 1.3
+#: Ratios of true to assumed friction and damping: higher than assumed, and lower.
+HIGH_FRICTION, LOW_FRICTION = 1.0 / 0.7, 1.0 / 1.3
 #: Keys of the methods that run with a stalled host and with wrong friction, one of each kind.
 STRESS_METHODS = (
     "stiff",
@@ -328,20 +330,25 @@ STRESS_METHODS = (
 )
 
 
-def stress_jobs(ways: Mapping[str, Method]) -> list[Job]:
-    """Return three runs for each method of `STRESS_METHODS` that is in `ways`.
+def stress_jobs(methods: Mapping[str, Method]) -> list[Job]:
+    """Return three runs for each method of `STRESS_METHODS` that is in `methods`.
 
     The host stalls in the first run. The true friction is higher than assumed in the second, and
     lower in the third.
     """
     out = []
     for key in STRESS_METHODS:
-        if key not in ways:
+        if key not in methods:
             continue
-        nominal = replace(NOMINAL, rate=ways[key].rate)
-        for what, conditions in _stresses(nominal).items():
+        nominal = replace(NOMINAL, rate=methods[key].rate)
+        for stress, conditions in _stresses(nominal).items():
             out.append(
-                Job(f"{key}/{what}", drag, (ways[key].make, DRAG_80N), {"conditions": conditions})
+                Job(
+                    f"{key}/{stress}",
+                    drag,
+                    (methods[key].make, DRAG_80N),
+                    {"conditions": conditions},
+                )
             )
     return out
 
@@ -349,8 +356,8 @@ def stress_jobs(ways: Mapping[str, Method]) -> list[Job]:
 def _stresses(nominal: Conditions) -> dict[str, Conditions]:
     return {
         "stall": nominal.with_plant(bus_outage=STALL),
-        "tight": nominal.with_plant(friction_scale=TIGHT, damping_scale=TIGHT),
-        "loose": nominal.with_plant(friction_scale=LOOSE, damping_scale=LOOSE),
+        "tight": nominal.with_plant(friction_scale=HIGH_FRICTION, damping_scale=HIGH_FRICTION),
+        "loose": nominal.with_plant(friction_scale=LOW_FRICTION, damping_scale=LOW_FRICTION),
     }
 
 
@@ -358,16 +365,16 @@ def stress_measure(key: str, outcomes: Mapping[str, DragResult]) -> dict[str, fl
     """Return the numbers of one method in the runs of `stress_jobs`; empty if it has none."""
     if f"{key}/stall" not in outcomes:
         return {}
-    stall, tight, loose = (outcomes[f"{key}/{what}"] for what in ("stall", "tight", "loose"))
+    stall, high, low = (outcomes[f"{key}/{stress}"] for stress in ("stall", "tight", "loose"))
     after = stall.trace.t > STALL[0]
     return {
         "stall_force": stall.peak,
         "stall_drift": stall.drift,
         "stall_speed": float(np.abs(stall.trace.dq[after]).max()),
-        "tight_force": tight.peak,
-        "tight_drift": tight.drift,
-        "loose_force": loose.peak,
-        "loose_walks": loose.stays,
+        "tight_force": high.peak,
+        "tight_drift": high.drift,
+        "loose_force": low.peak,
+        "loose_walks": low.stays,
     }
 
 
@@ -376,16 +383,16 @@ def stress_table(numbers: Numbers, names: Mapping[str, str]) -> Table:
     rows = [
         (
             names[key],
-            f"{one['stall_force']:.1f} N",
-            mm(one["stall_drift"]),
-            f"{one['stall_speed']:.1f} rad/s",
-            f"{one['tight_force']:.1f} N",
-            mm(one["tight_drift"]),
-            f"{one['loose_force']:.1f} N",
-            mm(one["loose_walks"]),
+            f"{figures['stall_force']:.1f} N",
+            mm(figures["stall_drift"]),
+            f"{figures['stall_speed']:.1f} rad/s",
+            f"{figures['tight_force']:.1f} N",
+            mm(figures["tight_drift"]),
+            f"{figures['loose_force']:.1f} N",
+            mm(figures["loose_walks"]),
         )
-        for key, one in numbers.items()
-        if "stall_force" in one
+        for key, figures in numbers.items()
+        if "stall_force" in figures
     ]
     return Table(
         caption="The same hand toward +y. Stall: from 2.6 to 3.6 s, in the middle of its way, the "
@@ -408,33 +415,33 @@ def stress_table(numbers: Numbers, names: Mapping[str, str]) -> Table:
 
 def stress_statements(numbers: Numbers) -> tuple[Statement, ...]:
     """Return the statements about the runs of `stress_jobs`; empty if a needed run is missing."""
-    needed = ("cap 0.999", "admittance", "stiff", "impedance")
-    if not all("stall_force" in numbers.get(key, {}) for key in needed):
+    keys = ("cap 0.999", "admittance", "stiff", "impedance")
+    if not all("stall_force" in numbers.get(key, {}) for key in keys):
         return ()
-    ours, current, stiff, torque = (numbers[key] for key in needed)
+    cap, current, stiff, torque = (numbers[key] for key in keys)
     return (
         band(
             claim="While the host stalls for a second, the limits of the last tick still bound the "
             "force; a method that is soft by goals alone is stiff then, and its arm jumps when the "
             "host returns.",
-            outcome=f"Largest force and joint speed: cap {ours['stall_force']:.1f} N, "
-            f"{ours['stall_speed']:.1f} rad/s; admittance {current['stall_force']:.1f} N, "
+            outcome=f"Largest force and joint speed: cap {cap['stall_force']:.1f} N, "
+            f"{cap['stall_speed']:.1f} rad/s; admittance {current['stall_force']:.1f} N, "
             f"{current['stall_speed']:.1f} rad/s; stiff {stiff['stall_force']:.1f} N; torque "
             f"impedance {torque['stall_force']:.1f} N.",
             tests=(
-                at_most("cap over admittance", ours["stall_force"] / current["stall_force"], 0.8),
-                at_most("speed, cap over stiff", ours["stall_speed"] / stiff["stall_speed"], 0.5),
+                at_most("cap over admittance", cap["stall_force"] / current["stall_force"], 0.8),
+                at_most("speed, cap over stiff", cap["stall_speed"] / stiff["stall_speed"], 0.5),
             ),
         ),
         band(
             claim="Gears with more friction than assumed increase the force of every method; the "
             "stiff axes stay in place.",
-            outcome=f"Tight gears: cap {ours['tight_force']:.1f} N, {mm(ours['tight_drift'])}; "
+            outcome=f"Tight gears: cap {cap['tight_force']:.1f} N, {mm(cap['tight_drift'])}; "
             f"admittance {current['tight_force']:.1f} N, {mm(current['tight_drift'])}; torque "
             f"impedance {torque['tight_force']:.1f} N, {mm(torque['tight_drift'])}.",
             tests=(
-                at_least("more force", ours["tight_force"] / ours["force"], 1.0),
-                at_most("drift", ours["tight_drift"], 0.005, "m"),
+                at_least("more force", cap["tight_force"] / cap["force"], 1.0),
+                at_most("drift", cap["tight_drift"], 0.005, "m"),
             ),
         ),
     )
@@ -447,24 +454,24 @@ OVER_TIME = ("stiff", "uniform 30", "paper 0.999", "cap 0", "cap 0.999", "impeda
 
 
 def draw_comparison(
-    numbers: Numbers, traces: Mapping[str, Trace], ways: Mapping[str, Method], folder: Path
+    numbers: Numbers, traces: Mapping[str, Trace], methods: Mapping[str, Method], folder: Path
 ) -> None:
     """Draw `5-comparison`: force to move the arm against drift of the stiff positions, y over time.
 
     Args:
         numbers: Numbers of each method, from `measure`.
         traces: Record of each method against the hand that drags toward +y.
-        ways: Methods by key.
+        methods: Methods by key.
         folder: Target folder.
     """
     with canvas(1, 2, size=(WIDE, 5.6), width_ratios=[1.15, 1.0]) as (figure, axes):
-        ax, over = axes[0]
+        ax, right_axes = axes[0]
         names: list[tuple[float, float, str, str]] = []
         key_of_letters = []
-        for letter, (key, way) in zip(ascii_uppercase, ways.items(), strict=False):
+        for letter, (key, method) in zip(ascii_uppercase, methods.items(), strict=False):
             force, drift = numbers[key]["force"], 1e3 * numbers[key]["drift"]
-            stays = numbers[key]["returned"] is None
-            colour = LAW_COLOURS[way.family]
+            does_not_return = numbers[key]["returned"] is None
+            colour = LAW_COLOURS[method.family]
             ax.plot(
                 force,
                 drift,
@@ -472,10 +479,10 @@ def draw_comparison(
                 markersize=8,
                 markeredgewidth=1.6,
                 color=colour,
-                markerfacecolor="none" if stays else colour,
+                markerfacecolor="none" if does_not_return else colour,
             )
             names.append((force, drift, letter, colour))
-            key_of_letters.append(Line2D([], [], linestyle="", label=f"{letter}  {way.name}"))
+            key_of_letters.append(Line2D([], [], linestyle="", label=f"{letter}  {method.name}"))
         ax.set_xscale("log")
         ax.set_yscale("log")
         ax.set_xlim(2.0, 110.0)
@@ -489,29 +496,29 @@ def draw_comparison(
         marks = []
         for key in OVER_TIME:
             if key in traces:
-                trace, colour = traces[key], LAW_COLOURS[ways[key].family]
+                trace, colour = traces[key], LAW_COLOURS[methods[key].family]
                 step = thin(trace.t)
                 dashed = key == "cap 0"
-                over.plot(
+                right_axes.plot(
                     trace.t[step],
                     -1e3 * trace.error[step, 1],
                     color=colour,
                     linestyle=(0, (4, 2)) if dashed else "-",
                 )
-                marks.append((-1e3 * float(trace.error[-1, 1]), ways[key].name, colour))
-        over.set_ylim(-40.0, 260.0)
-        shade(over, 2.0, 5.0, "hand")
-        over.set_xlim(0.0, 9.0)
-        over.set_xlabel("time [s]")
-        over.set_ylabel("y, from its target [mm]")
-        over.set_title("pulled toward +y, let go at 5 s")
-        label_end(over, 9.0, marks, size=7.5)
+                marks.append((-1e3 * float(trace.error[-1, 1]), methods[key].name, colour))
+        right_axes.set_ylim(-40.0, 260.0)
+        shade(right_axes, 2.0, 5.0, "hand")
+        right_axes.set_xlim(0.0, 9.0)
+        right_axes.set_xlabel("time [s]")
+        right_axes.set_ylabel("y, from its target [mm]")
+        right_axes.set_title("pulled toward +y, let go at 5 s")
+        label_end(right_axes, 9.0, marks, size=7.5)
         label_points(ax, sorted(names, key=lambda name: -name[1]), size=8.5)
         figure.legend(
             handles=key_of_letters,
             loc="outside lower left",
             ncols=4,
             handlelength=0.0,
-            labelcolor=[LAW_COLOURS[way.family] for way in ways.values()],
+            labelcolor=[LAW_COLOURS[method.family] for method in methods.values()],
         )
         save(figure, folder, "5-comparison")

@@ -41,9 +41,9 @@ TITLE = "Doors"
 GRIPS = ("rigid", "turning")
 
 
-def stiff(*, soft: str, **more: Any) -> Law:
+def stiff(*, soft: str, **options: Any) -> Law:
     """Return a law with all axes stiff; the argument `soft` is ignored."""
-    return controllers.all_stiff(**more)
+    return controllers.all_stiff(**options)
 
 
 LAWS: Mapping[str, Callable[..., Law]] = {
@@ -68,10 +68,10 @@ def jobs(options: Options) -> list[Job]:
         for law, make in LAWS.items()
         if law != "paper" or scene == "door"
     ]
-    still = [scene for scene in scenes if not SCENES[scene].base]
+    fixed_base = [scene for scene in scenes if not SCENES[scene].base]
     runs += [
         Job(f"both/{scene}/{grip}/{law}", open_and_close, (LAWS[law], scene, grip))
-        for scene in still
+        for scene in fixed_base
         for grip in grips
         for law in ("cap", "stiff")
         if law == "cap" or scene == "door"
@@ -80,7 +80,7 @@ def jobs(options: Options) -> list[Job]:
 
 
 def measure(outcomes: Mapping[str, Any]) -> Numbers:
-    """Return the numbers by scene, grip and law."""
+    """Return angles [deg], forces [N] and torques [N·m] of the runs, by scene, grip and law."""
     opening: dict[str, dict[str, dict[str, dict[str, float]]]] = {}
     both: dict[str, dict[str, dict[str, dict[str, Any]]]] = {}
     for name, run in outcomes.items():
@@ -93,12 +93,12 @@ def measure(outcomes: Mapping[str, Any]) -> Numbers:
 
 
 def _opened(run: OpenResult) -> dict[str, float]:
-    usable = np.asarray(NOMINAL.servos().max_torque)
+    max_torque = np.asarray(NOMINAL.servos().max_torque)
     return {
         "angle": run.angle,
         "force": run.force,
         "torque": run.torque,
-        "largest_limit_share": float((run.trace.limit.max(axis=0) / usable).max()),
+        "largest_limit_share": float((run.trace.limit.max(axis=0) / max_torque).max()),
     }
 
 
@@ -111,7 +111,7 @@ def _both(run: OpenCloseResult) -> dict[str, Any]:
     }
 
 
-def felt(trace: Trace) -> Array:
+def estimated_force(trace: Trace) -> Array:
     """Return the force on the tool along x at each tick (N,) [N], estimated without a force sensor.
 
     `pliant.ContactEstimator` gets the recorded joint positions and commands.
@@ -119,8 +119,8 @@ def felt(trace: Trace) -> Array:
     contact = pliant.ContactEstimator(pliant.Controller(arm(), controllers.cap(), NOMINAL.servos()))
     force = np.zeros(trace.t.size)
     for k in range(trace.t.size):
-        sent = (trace.goal[k], trace.limit[k])
-        force[k] = contact.update(trace.q[k], sent=sent).force_base[0]
+        command = (trace.goal[k], trace.limit[k])
+        force[k] = contact.update(trace.q[k], sent=command).force_base[0]
     return force
 
 
@@ -153,7 +153,9 @@ def draw(outcomes: Mapping[str, Any], options: Options) -> None:
     draw_force_over_angle(outcomes, options.figures)
     draw_scenes(outcomes, options.figures)
     draw_closing(
-        {n: r.trace for n, r in outcomes.items() if n.startswith("both/")}, felt, options.figures
+        {n: r.trace for n, r in outcomes.items() if n.startswith("both/")},
+        estimated_force,
+        options.figures,
     )
 
 
@@ -179,8 +181,8 @@ NAMES = {
 }
 #: Opening below which a door counts as stuck [deg].
 STUCK = 35.0
-#: Allowed difference between the opening at the detected and at the true end of a motion [deg].
-NEAR = 1.0
+#: Allowed difference of the angle at a detected end of the motion from that of the true end [deg].
+END_TOLERANCE = 1.0
 
 
 def door_figures(opening: Numbers, both: Numbers) -> tuple[Figure, ...]:
@@ -311,7 +313,7 @@ def _paper_law(opening: Numbers) -> tuple[Statement, ...]:
 
 
 def _all_open(opening: Numbers) -> Statement:
-    angles = [one["angle"] for _, _, one in _all(opening, "cap")]
+    angles = [run["angle"] for _, _, run in _all(opening, "cap")]
     worst = min(angles)
     scenes = listed([NAMES[scene] for scene in opening])
     return Statement(
@@ -324,14 +326,14 @@ def _all_open(opening: Numbers) -> Statement:
 
 def _scene_bands(opening: Numbers) -> tuple[Statement, ...]:
     tests, texts = [], []
-    for scene, grip, one in _all(opening, "cap"):
+    for scene, grip, run in _all(opening, "cap"):
         angle, force = BANDS[scene][grip == "turning"]
         tests += [
-            at_least(f"{scene}, {grip}: angle", one["angle"], angle, "deg"),
-            at_most(f"{scene}, {grip}: force", one["force"], force, "N"),
+            at_least(f"{scene}, {grip}: angle", run["angle"], angle, "deg"),
+            at_most(f"{scene}, {grip}: force", run["force"], force, "N"),
         ]
         if grip == "rigid":
-            texts.append(f"{NAMES[scene]} {one['angle']:.1f}°, {one['force']:.1f} N")
+            texts.append(f"{NAMES[scene]} {run['angle']:.1f}°, {run['force']:.1f} N")
     return (
         band(
             claim="Law cap reaches the angles and forces of the study in every scene and with both "
@@ -344,16 +346,18 @@ def _scene_bands(opening: Numbers) -> tuple[Statement, ...]:
 
 def _ends(both: Numbers) -> Statement:
     tests, texts, forces = [], [], []
-    for scene, grip, one in _all(both, "cap"):
-        ends = one["ends"]
+    for scene, grip, run in _all(both, "cap"):
+        ends = run["ends"]
         first = ends[0] if ends else float("nan")
         second = ends[1] if len(ends) > 1 else float("nan")
         tests += [
-            between(f"{scene}, {grip}: open", first, STOP - NEAR, STOP + NEAR, "deg"),
-            between(f"{scene}, {grip}: closed", second, -NEAR, NEAR, "deg"),
+            between(
+                f"{scene}, {grip}: open", first, STOP - END_TOLERANCE, STOP + END_TOLERANCE, "deg"
+            ),
+            between(f"{scene}, {grip}: closed", second, -END_TOLERANCE, END_TOLERANCE, "deg"),
         ]
         texts.append(f"{first:.1f}°/{second:.1f}°")
-        forces.append(one["force"])
+        forces.append(run["force"])
     tests.append(at_most("peak force", max(forces), 65.0, "N"))
     return Statement(
         claim="The end of both motions is recognised by resistance.",
@@ -367,12 +371,12 @@ def _stiff_ends(both: Numbers) -> tuple[Statement, ...]:
     stiff = both["door"].get("rigid", {}).get("stiff")
     if stiff is None:
         return ()
-    where = f"{stiff['ends'][0]:.1f}°" if stiff["ends"] else "nowhere"
+    text = f"{stiff['ends'][0]:.1f}°" if stiff["ends"] else "nowhere"
     first = stiff["ends"][0] if stiff["ends"] else 0.0
     return (
         band(
             claim="All stiff and rigidly gripped, the arm takes its own resistance for the end.",
-            outcome=f"It believes the door open at {where}.",
+            outcome=f"It believes the door open at {text}.",
             tests=(at_most("angle", first, 20.0, "deg"),),
         ),
     )
@@ -385,13 +389,13 @@ def opening_table(opening: Numbers) -> Table:
             NAMES[scene],
             grip,
             law,
-            f"{one['angle']:.1f}°",
-            f"{one['force']:.1f} N",
-            f"{one['torque']:.2f} N·m" if grip == "rigid" else "–",
+            f"{run['angle']:.1f}°",
+            f"{run['force']:.1f} N",
+            f"{run['torque']:.2f} N·m" if grip == "rigid" else "–",
         )
         for scene, grips in opening.items()
         for grip, laws in grips.items()
-        for law, one in laws.items()
+        for law, run in laws.items()
     ]
     return Table(
         caption="Opening: how far, and the largest force and torque at the handle in any physics "
@@ -406,9 +410,9 @@ def closing_table(both: Numbers) -> Table:
     rows = []
     for scene, grips in both.items():
         for grip, laws in grips.items():
-            for law, one in laws.items():
-                ends = [f"{end:.1f}°" for end in one["ends"]] + ["missed"] * (2 - len(one["ends"]))
-                rows.append((NAMES[scene], grip, law, *ends, f"{one['force']:.1f} N"))
+            for law, run in laws.items():
+                ends = [f"{end:.1f}°" for end in run["ends"]] + ["missed"] * (2 - len(run["ends"]))
+                rows.append((NAMES[scene], grip, law, *ends, f"{run['force']:.1f} N"))
     return Table(
         caption=f"Opening and closing: leaf when the end was recognised; the stop is at {STOP:g}°.",
         columns=("scene", "grip", "law", "open at", "closed at", "peak force"),
@@ -476,11 +480,11 @@ def _frames(trace: Trace) -> list[NDArray[np.uint8] | None]:
         return [None] * len(INSTANTS)
 
 
-def circle(most: float = 80.0) -> Array:
-    """Return points (k, 3) [m] of the handle's circular path, up to an opening `most` [deg]."""
+def circle(largest: float = 80.0) -> Array:
+    """Return points (k, 3) [m] of the handle's circular path, up to an opening `largest` [deg]."""
     handle = tool(SCENES["door"].start)[:3, 3]
     arm_of_handle = np.array([0.0, 0.30, 0.0])
-    angle = np.deg2rad(np.linspace(0.0, most, 41))[:, None]
+    angle = np.deg2rad(np.linspace(0.0, largest, 41))[:, None]
     turned = np.cos(angle) * arm_of_handle + np.sin(angle) * np.array([-0.30, 0.0, 0.0])
     points: Array = handle - arm_of_handle + turned
     return points
@@ -498,10 +502,10 @@ def draw_force_over_angle(outcomes: Mapping[str, OpenResult], folder: Path) -> N
                 if run is None:
                     continue
                 angle, force = np.rad2deg(run.trace.leaf), run.trace.grip[:, 0]
-                ahead = np.maximum.accumulate(angle)
-                ax.plot(ahead, force, color=LAW_COLOURS[law])
-                ax.plot(ahead[-1:], force[-1:], marker="o", markersize=4, color=LAW_COLOURS[law])
-                ends.append((float(ahead[-1]), float(force[-1]), law))
+                widest = np.maximum.accumulate(angle)
+                ax.plot(widest, force, color=LAW_COLOURS[law])
+                ax.plot(widest[-1:], force[-1:], marker="o", markersize=4, color=LAW_COLOURS[law])
+                ends.append((float(widest[-1]), float(force[-1]), law))
             for x, y, law in ends:
                 ax.annotate(
                     law,
@@ -560,15 +564,15 @@ def draw_scenes(outcomes: Mapping[str, OpenResult], folder: Path) -> None:
     ]
     with canvas(1, 1, size=(WIDE * 0.85, 0.9 + 0.34 * len(rows))) as (figure, axes):
         ax = axes[0, 0]
-        for place, (scene, grip) in enumerate(rows):
+        for index, (scene, grip) in enumerate(rows):
             cap = outcomes[f"open/{scene}/{grip}/cap"]
             stiff = outcomes[f"open/{scene}/{grip}/stiff"]
-            ax.plot([cap.force, stiff.force], [place, place], color=MUTED, linewidth=1.0, zorder=1)
+            ax.plot([cap.force, stiff.force], [index, index], color=MUTED, linewidth=1.0, zorder=1)
             for run, law, side in ((cap, "cap", -1), (stiff, "stiff", 1)):
-                ax.plot(run.force, place, "o", markersize=6, color=LAW_COLOURS[law], zorder=2)
+                ax.plot(run.force, index, "o", markersize=6, color=LAW_COLOURS[law], zorder=2)
                 ax.annotate(
                     f"{run.angle:.0f}°",
-                    (run.force, place),
+                    (run.force, index),
                     xytext=(8 * side, 0),
                     textcoords="offset points",
                     ha="left" if side > 0 else "right",
@@ -597,15 +601,17 @@ def draw_scenes(outcomes: Mapping[str, OpenResult], folder: Path) -> None:
         save(figure, folder, "4-scenes")
 
 
-def draw_closing(traces: Mapping[str, Trace], felt: Callable[[Trace], Array], folder: Path) -> None:
+def draw_closing(
+    traces: Mapping[str, Trace], force_of: Callable[[Trace], Array], folder: Path
+) -> None:
     """Draw opening angle and estimated force of runs that open and close a door.
 
     Args:
         traces: Record of each run by key.
-        felt: Function that estimates the force along x at each tick [N] from a record.
+        force_of: Function that estimates the force along x at each tick [N] from a record.
         folder: Target folder.
     """
-    chosen = [
+    cases = [
         (key, title)
         for key, title in (
             ("both/door/rigid/cap", "door, rigid grip"),
@@ -615,16 +621,16 @@ def draw_closing(traces: Mapping[str, Trace], felt: Callable[[Trace], Array], fo
         )
         if key in traces
     ]
-    with canvas(2, len(chosen), size=(WIDE, 4.4), sharex=True, sharey="row") as (figure, axes):
-        for column, (key, title) in enumerate(chosen):
+    with canvas(2, len(cases), size=(WIDE, 4.4), sharex=True, sharey="row") as (figure, axes):
+        for column, (key, title) in enumerate(cases):
             trace = traces[key]
             step = thin(trace.t)
             t = trace.t[step]
             colour = LAW_COLOURS[key.rsplit("/", maxsplit=1)[-1]]
             top, low = axes[:, column]
             top.plot(t, np.rad2deg(trace.leaf[step]), color=colour)
-            force = felt(trace)
-            for k in recognised(trace.t, force):
+            force = force_of(trace)
+            for k in detected_ends(trace.t, force):
                 top.plot(trace.t[k], np.rad2deg(trace.leaf[k]), "o", markersize=5, color=INK)
                 low.plot(trace.t[k], force[k], "o", markersize=5, color=INK)
             low.plot(t, force[step], color=colour, linewidth=1.1)
@@ -640,8 +646,8 @@ def draw_closing(traces: Mapping[str, Trace], felt: Callable[[Trace], Array], fo
         save(figure, folder, "4-open-close")
 
 
-def recognised(t: Array, force: Array) -> list[int]:
-    """Return the ticks at which resistance is detected: to opening, then to closing.
+def detected_ends(t: Array, force: Array) -> list[int]:
+    """Return the ticks at which resistance is detected: first of opening, then of closing.
 
     Args:
         t: Time of each tick (N,) [s].

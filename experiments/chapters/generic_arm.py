@@ -109,16 +109,18 @@ class Arm(arms.Arm):
             "needs little torque and the soft axis can move"
         )
 
-    def law(self, *, soft: str | None = None, eta: float = 0.0, **more: Any) -> pliant.Settings:
+    def law(self, *, soft: str | None = None, eta: float = 0.0, **options: Any) -> pliant.Settings:
         """Return settings of law cap with the task axes and default caps of this arm.
 
         Args:
             soft: Names of the soft axes; "" for none; None: `Arm.soft`.
             eta: Target adaptation of the soft axes.
-            **more: Further settings.
+            **options: Further settings.
         """
         task = pliant.Task(axes=" ".join(self.axes))
-        return controllers.cap(soft=self.soft if soft is None else soft, eta=eta, task=task, **more)
+        return controllers.cap(
+            soft=self.soft if soft is None else soft, eta=eta, task=task, **options
+        )
 
 
 @cache
@@ -131,17 +133,19 @@ def load(source: Source) -> Arm:
     Raises:
         PliantError: The URDF is rejected, or no pose lets the soft axis move.
     """
-    bare = arms.Arm(source.name, robots.load(source.name)) if source.name else None
+    plain_arm = arms.Arm(source.name, robots.load(source.name)) if source.name else None
     notes: tuple[str, ...] = ()
-    if bare is None:
+    if plain_arm is None:
         model, notes = _from_urdf(source)
-        bare = arms.Arm(model.name, model)
-    if bare.model.n < 2:
-        raise ConfigError(f"the chain has {bare.model.n} joint; the experiments need at least 2")
-    soft = "y" if "y" in bare.axes else "x"
-    way = float(np.clip(WAY_SHARE * bare.model.reach, *WAY_RANGE))
-    pose, way = _find_pose(bare, soft, way)
-    return Arm(bare.name, bare.model, soft, pose, way, notes)
+        plain_arm = arms.Arm(model.name, model)
+    if plain_arm.model.n < 2:
+        raise ConfigError(
+            f"the chain has {plain_arm.model.n} joint; the experiments need at least 2"
+        )
+    soft = "y" if "y" in plain_arm.axes else "x"
+    distance = float(np.clip(WAY_SHARE * plain_arm.model.reach, *WAY_RANGE))
+    pose, distance = _find_pose(plain_arm, soft, distance)
+    return Arm(plain_arm.name, plain_arm.model, soft, pose, distance, notes)
 
 
 def _from_urdf(source: Source) -> tuple[pliant.Model, tuple[str, ...]]:
@@ -158,7 +162,9 @@ def _from_urdf(source: Source) -> tuple[pliant.Model, tuple[str, ...]]:
     if unknown.any():
         holding = np.abs([model.gravity(q) for q in sample(model)]).max(axis=0)
         effort[unknown] = np.maximum(STRONG_ENOUGH * holding[unknown], LEAST_EFFORT)
-        names = ", ".join(name for name, odd in zip(model.joint_names, unknown, strict=True) if odd)
+        names = ", ".join(
+            name for name, is_unknown in zip(model.joint_names, unknown, strict=True) if is_unknown
+        )
         notes.append(
             f"No effort limit either for {names}: {STRONG_ENOUGH:g} times the largest torque that "
             "holds the arm was taken."
@@ -182,46 +188,46 @@ def sample(model: pliant.Model, inner: float = 1.0) -> Array:
     return np.random.default_rng(0).uniform(middle - half, middle + half, (SEARCHED, model.n))
 
 
-def _find_pose(arm: arms.Arm, soft: str, way: float) -> tuple[Array, float]:
+def _find_pose(arm: arms.Arm, soft: str, distance: float) -> tuple[Array, float]:
     """Return the start pose (n,) [rad] of the experiments, and the motion that it allows [m].
 
     The pose has the largest `Arm.sigma` of the random poses in which gravity needs at most
-    `GRAVITY_SHARE` of the torque, and from which the tool can move along the axis `soft` by `way`
-    [m] in both directions. If there is no such pose, 60 % and then 35 % of `way` suffice.
+    `GRAVITY_SHARE` of the torque, and from which the tool can move along the axis `soft` by
+    `distance` [m] in both directions. If there is no such pose, 60 % and then 35 % of it suffice.
     """
-    usable = np.asarray(arm.servos.max_torque)
+    max_torque = np.asarray(arm.servos.max_torque)
     light = [
         q
         for q in sample(arm.model, INNER)
-        if np.all(np.abs(arm.model.gravity(q)) <= GRAVITY_SHARE * usable)
+        if np.all(np.abs(arm.model.gravity(q)) <= GRAVITY_SHARE * max_torque)
     ]
-    ranked = sorted(light, key=lambda q: -arm.sigma(q))
+    candidates = sorted(light, key=lambda q: -arm.sigma(q))
     for share in (1.0, 0.6, 0.35):
-        for q in ranked[:100]:
-            if all(_can_move(arm, q, soft, side * share * way) for side in (1.0, -1.0)):
-                return q, share * way
+        for q in candidates[:100]:
+            if all(_can_move(arm, q, soft, side * share * distance) for side in (1.0, -1.0)):
+                return q, share * distance
     raise ConfigError(
-        f"among {SEARCHED} poses none lets {soft} move by {0.35 * way:.3f} m within the joint "
+        f"among {SEARCHED} poses none lets {soft} move by {0.35 * distance:.3f} m within the joint "
         "limits and torques"
     )
 
 
-def _can_move(arm: arms.Arm, q: Array, soft: str, way: float) -> bool:
-    """Return True if the tool can move from q (n,) [rad] along the axis `soft` by `way` [m].
+def _can_move(arm: arms.Arm, q: Array, soft: str, distance: float) -> bool:
+    """Return True if the tool can move from q (n,) [rad] along the axis `soft` by `distance` [m].
 
     On the way, every joint stays within its position limits and `Arm.sigma` above 40 % of its
     value at q.
     """
     lower, upper = arms.ranges(arm.model)
-    least = 0.4 * arm.sigma(q)
+    min_sigma = 0.4 * arm.sigma(q)
     motion = np.zeros(len(arm.rows))
-    motion[arm.axes.index(soft)] = way / STEPS
+    motion[arm.axes.index(soft)] = distance / STEPS
     margin = 0.02 * (upper - lower)
-    at = q.copy()
+    joints = q.copy()
     for _ in range(STEPS):
-        at = at + np.linalg.pinv(np.asarray(arm.model.jacobian(at))[arm.rows]) @ motion
-        inside = np.all((at >= lower + margin) & (at <= upper - margin))
-        if not inside or arm.sigma(at) < least:
+        joints = joints + np.linalg.pinv(np.asarray(arm.model.jacobian(joints))[arm.rows]) @ motion
+        is_inside = np.all((joints >= lower + margin) & (joints <= upper - margin))
+        if not is_inside or arm.sigma(joints) < min_sigma:
             return False
     return True
 
@@ -281,17 +287,16 @@ def strengths(source: Source) -> Strengths:
     start = np.asarray(arm.model.forward_kinematics(arm.pose))
     row = arm.axes.index(arm.soft)
 
-    def strength(soft: str, away: float) -> float:
+    def strength(soft: str, deviation: float) -> float:
         controller = pliant.Controller(arm.model, arm.law(soft=soft), arm.servos)
         controller.reset(arm.pose)
-        controller.step(arm.pose, poses.displaced(start, arm.soft, away))
+        controller.step(arm.pose, poses.displaced(start, arm.soft, deviation))
         return float(controller.diagnostics.axis_strength[row])
 
-    # At this deviation the cap is `firm`. Do not use more than the reach: the controller rejects
-    # targets that are far out of reach.
-    far = min(1.0, float(arm.model.reach))
+    # At this deviation the cap is `firm`; the controller rejects targets far out of reach.
+    length = min(1.0, float(arm.model.reach))
     return Strengths(
-        soft=strength(arm.soft, 0.0), firm=strength(arm.soft, far), hold=strength("", 0.0)
+        soft=strength(arm.soft, 0.0), firm=strength(arm.soft, length), hold=strength("", 0.0)
     )
 
 
@@ -493,10 +498,10 @@ class CapChapter:
     def measure(self, outcomes: Mapping[str, Sequence[Promise]]) -> Numbers:
         """Return the forces of all pushes, their median error, and the number of kept caps."""
         pushes = _tried(outcomes)
-        errors = [abs(one.error) for one in pushes]
+        errors = [abs(push.error) for push in pushes]
         return {
             "pushes": len(pushes),
-            "kept": sum(one.kept for one in pushes),
+            "kept": sum(push.kept for push in pushes),
             "median_error": float(np.median(errors)) if errors else float("nan"),
             "each": [
                 {
@@ -504,7 +509,7 @@ class CapChapter:
                     "sign": p.sign,
                     "cap": p.cap,
                     "promise": p.promise,
-                    "measured": p.felt,
+                    "measured": p.measured,
                 }
                 for p in pushes
             ],
@@ -551,8 +556,8 @@ class CapChapter:
 
 def _tried(outcomes: Mapping[str, Sequence[Promise]]) -> list[Promise]:
     """Return the pushes that were run and for which no stop was announced."""
-    pushes = [one for several in outcomes.values() for one in several]
-    return [one for one in pushes if not one.refused and not one.announced]
+    pushes = [push for results in outcomes.values() for push in results]
+    return [push for push in pushes if not push.refused and not push.announced]
 
 
 def experiments(source: Source) -> dict[int, Any]:
@@ -597,29 +602,33 @@ class DragChapter:
         ]
 
     def measure(self, outcomes: Mapping[str, Any]) -> Numbers:
-        """Return the numbers of each kind of run; each is the worse one of the two directions."""
-        arm, given = load(self.source), outcomes["strengths"]
+        """Return forces and displacements of each kind of run: worse value of both directions."""
+        arm, caps = load(self.source), outcomes["strengths"]
         kinds: dict[str, dict[str, float]] = {}
         for name, trace in outcomes.items():
             if name == "strengths":
                 continue
             kind = name.rsplit(" ", maxsplit=1)[0]
-            one = self._one(arm, trace, given)
-            had = kinds.get(kind, one)
-            kinds[kind] = {k: (min if k == "moved" else max)(v, had[k]) for k, v in one.items()}
+            push = self._one(arm, trace, caps)
+            had = kinds.get(kind, push)
+            kinds[kind] = {k: (min if k == "moved" else max)(v, had[k]) for k, v in push.items()}
         return {
             "soft_axis": arm.soft,
             "way": arm.way,
-            "strengths": {"soft": given.soft, "firm": given.firm, "hold": given.hold},
+            "strengths": {
+                "soft": caps.soft,
+                "firm": caps.firm,
+                "hold": caps.hold,
+            },
             **kinds,
         }
 
-    def _one(self, arm: Arm, trace: Trace, given: Strengths) -> dict[str, float]:
+    def _one(self, arm: Arm, trace: Trace, caps: Strengths) -> dict[str, float]:
         axis = AXES.index(arm.soft)
         others = [row for row in arm.rows if row < 3 and row != axis]
-        still = trace.between(*metrics.HELD)
-        felt = trace.force[:, axis]
-        c = float(np.nanmean(trace.compliance[still, arm.axes.index(arm.soft)]))
+        is_still = trace.between(*metrics.HELD)
+        forces = trace.force[:, axis]
+        c = float(np.nanmean(trace.compliance[is_still, arm.axes.index(arm.soft)]))
         jacobian = np.asarray(arm.model.jacobian(trace.q[trace.at(metrics.HELD[1])]))
         inverse = np.linalg.pinv(jacobian[arm.rows])[:, arm.rows.index(axis)]
         before = trace.at(metrics.PULLING[0])
@@ -628,9 +637,9 @@ class DragChapter:
                 trace.error[before, arm.rows][: len([r for r in arm.rows if r < 3])]
             ),
             "moved": metrics.moved(trace, axis),
-            "force": metrics.largest(felt),
-            "held": abs(float(felt[still].mean())),
-            "promised": c * given.soft + (1.0 - c) * given.firm,
+            "force": metrics.largest(forces),
+            "held": abs(float(forces[is_still].mean())),
+            "promised": c * caps.soft + (1.0 - c) * caps.firm,
             "friction": float(np.abs(inverse) @ np.asarray(arm.servos.friction)),
             "give": max(
                 (float(jacobian[row] ** 2 @ (1.0 / np.asarray(arm.servos.kp))) for row in others),
@@ -647,12 +656,12 @@ class DragChapter:
         """Return the chapter, which compares the forces of the soft axis and of the stiff arm."""
         arm = load(self.source)
         follow, firm, stiff = numbers["soft 0.999"], numbers["soft 0"], numbers["stiff 0"]
-        given, soft = numbers["strengths"], numbers["soft_axis"]
+        caps, soft = numbers["strengths"], numbers["soft_axis"]
         figure = Figure(
             file="2-dragged",
             title=f"A hand drags the tool by {mm(numbers['way'])} in {soft}",
-            done=f"Law cap with this arm's default strengths in {soft}: {given['soft']:g} N at "
-            f"small, {given['firm']:g} N at large deviation, {given['hold']:g} N where it is "
+            done=f"Law cap with this arm's default strengths in {soft}: {caps['soft']:g} N at "
+            f"small, {caps['firm']:g} N at large deviation, {caps['hold']:g} N where it is "
             "stiff. The hand pulls within 2 to 3.5 s, holds on until 5 s, and lets go. With η = "
             f"0.999, with η = 0, and with all axes stiff; {arm.where}.",
             caption="Solid: pulled toward +, dashed: toward −.",
@@ -740,13 +749,13 @@ def _drag_table(numbers: Numbers) -> Table:
     rows = [
         (
             name,
-            mm(one["moved"]),
-            f"{one['force']:.2f} N",
-            f"{one['held']:.2f} N",
-            mm(one["drift"]),
-            mm(one["left"]),
+            mm(figures["moved"]),
+            f"{figures['force']:.2f} N",
+            f"{figures['held']:.2f} N",
+            mm(figures["drift"]),
+            mm(figures["left"]),
         )
-        for name, one in ((k, numbers[k]) for k in ("soft 0.999", "soft 0", "stiff 0"))
+        for name, figures in ((k, numbers[k]) for k in ("soft 0.999", "soft 0", "stiff 0"))
     ]
     return Table(
         caption="The worse of both directions. Held: mean force while the hand holds still; left: "
@@ -806,7 +815,7 @@ def draw_dragged(arm: Arm, traces: Mapping[str, Trace], folder: Path) -> None:
     axis = AXES.index(arm.soft)
     others = [row for row in arm.rows if row < 3 and row != axis]
     with canvas(1, 3, size=(WIDE, 3.6)) as (figure, axes):
-        place, away, force = axes[0]
+        position_axes, error_axes, force = axes[0]
         for kind, _, colour in KINDS:
             for sign, style in (("+1", "-"), ("-1", (0, (3.5, 2.0)))):
                 trace = traces.get(f"{kind} {sign}")
@@ -814,19 +823,19 @@ def draw_dragged(arm: Arm, traces: Mapping[str, Trace], folder: Path) -> None:
                     continue
                 step = thin(trace.t)
                 t = trace.t[step]
-                place.plot(t, -1e3 * trace.error[step, axis], color=colour, linestyle=style)
+                position_axes.plot(t, -1e3 * trace.error[step, axis], color=colour, linestyle=style)
                 if others:
-                    far = np.abs(trace.error[step][:, others]).max(axis=1)
-                    away.plot(t, 1e3 * far, color=colour, linestyle=style)
+                    deviation = np.abs(trace.error[step][:, others]).max(axis=1)
+                    error_axes.plot(t, 1e3 * deviation, color=colour, linestyle=style)
                 force.plot(t, trace.force[step, axis], color=colour, linestyle=style)
         for ax in axes[0]:
             ax.margins(y=0.12)
             shade(ax, 2.0, 5.0, "hand")
             ax.set_xlabel("time [s]")
             ax.set_xlim(0.0, 9.0)
-        away.set_ylim(bottom=0.0)
-        place.set_ylabel(f"{arm.soft}, from its target [mm]")
-        away.set_ylabel("farthest other position [mm]")
+        error_axes.set_ylim(bottom=0.0)
+        position_axes.set_ylabel(f"{arm.soft}, from its target [mm]")
+        error_axes.set_ylabel("farthest other position [mm]")
         force.set_ylabel("hand [N]")
         names(force, [(name, colour) for _, name, colour in KINDS])
         save(figure, folder, "2-dragged")
@@ -843,8 +852,8 @@ def draw_swing(arm: Arm, trace: Trace, folder: Path) -> None:
     ):
         top, low = axes[:, 0]
         top.plot(t, 1e3 * trace.moved[step, axis], color=BLUE)
-        wanted = trace.moved[step, axis] + trace.error[step, axis]
-        top.plot(t, 1e3 * wanted, color=INK, linewidth=0.9, linestyle=(0, (4, 3)))
+        target = trace.moved[step, axis] + trace.error[step, axis]
+        top.plot(t, 1e3 * target, color=INK, linewidth=0.9, linestyle=(0, (4, 3)))
         ends = []
         for row in arm.rows:
             if row < 3 and row != axis:
@@ -855,7 +864,7 @@ def draw_swing(arm: Arm, trace: Trace, folder: Path) -> None:
         low.set_ylabel("others, from target [mm]")
         low.set_xlabel("time [s]")
         low.xaxis.set_major_locator(MultipleLocator(4.0))
-        label_end(top, float(t[-1]), [(1e3 * float(wanted[-1]), "target (dashed)", INK)])
+        label_end(top, float(t[-1]), [(1e3 * float(target[-1]), "target (dashed)", INK)])
         label_end(low, float(t[-1]), ends)
         save(figure, folder, "3-swing")
 
@@ -868,15 +877,15 @@ def draw_promises(pushes: Sequence[Promise], folder: Path) -> None:
         ax.fill_between(line, line - 0.15, line + 0.15, color=MUTED, alpha=0.12, linewidth=0)
         ax.plot(line, line, color=MUTED, linewidth=0.9, linestyle=(0, (4, 3)))
         for name in AXES:
-            mine = [p for p in pushes if p.axis == name]
-            if mine:
-                turning = AXES.index(name) > 2
+            axis_pushes = [p for p in pushes if p.axis == name]
+            if axis_pushes:
+                is_rotation = AXES.index(name) > 2
                 ax.plot(
-                    [p.promise / p.cap for p in mine],
-                    [p.felt / p.cap for p in mine],
-                    "^" if turning else "o",
+                    [p.promise / p.cap for p in axis_pushes],
+                    [p.measured / p.cap for p in axis_pushes],
+                    "^" if is_rotation else "o",
                     markersize=5,
-                    markerfacecolor="none" if turning else AXIS_COLOURS[name],
+                    markerfacecolor="none" if is_rotation else AXIS_COLOURS[name],
                     color=AXIS_COLOURS[name],
                     label=name,
                     linestyle="none",

@@ -105,12 +105,12 @@ def jobs(options: Options) -> list[Job]:
 
 
 def measure(outcomes: Mapping[str, DragResult]) -> Numbers:
-    """Return the numbers by axis, law, η and direction."""
+    """Return forces, deviations and return times by axis, law, η and direction."""
     numbers: dict[str, dict[str, dict[str, dict[str, dict[str, float | None]]]]] = {}
     for name, run in outcomes.items():
         axis, law, eta, sign = name.split()
-        into = numbers.setdefault(axis, {}).setdefault(law, {}).setdefault(eta, {})
-        into["toward +" if sign == "+1" else "toward -"] = _one(run, AXES.index(axis))
+        entry = numbers.setdefault(axis, {}).setdefault(law, {}).setdefault(eta, {})
+        entry["toward +" if sign == "+1" else "toward -"] = _one(run, AXES.index(axis))
     return numbers
 
 
@@ -118,8 +118,8 @@ def _one(run: DragResult, axis: int) -> dict[str, float | None]:
     trace = run.trace
     letting_go, end = trace.at(RELEASE), trace.t.size - 1
     compliance = trace.compliance[trace.between(*metrics.PULLING), axis]
-    late = trace.t > trace.t[-1] - 1.0
-    late_moved = trace.moved[late, axis]
+    is_late = trace.t > trace.t[-1] - 1.0
+    late_moved = trace.moved[is_late, axis]
     return {
         "moved": run.moved,
         "before": run.before,
@@ -133,7 +133,8 @@ def _one(run: DragResult, axis: int) -> dict[str, float | None]:
         "return_speed": return_speed(trace, axis),
         "left": abs(float(trace.error[end, axis])),
         "crept": abs(float(trace.moved[end, axis] - trace.moved[letting_go, axis])),
-        "still_moving": abs(float(late_moved[-1] - late_moved[0])) / float(np.ptp(trace.t[late])),
+        "still_moving": abs(float(late_moved[-1] - late_moved[0]))
+        / float(np.ptp(trace.t[is_late])),
     }
 
 
@@ -174,7 +175,7 @@ RANGE = {"y": (0.01, 0.10), "yaw": (0.04, 0.40)}
 #: Largest speed of a return to the target that counts as slow: y [m/s], yaw [rad/s].
 SLOW = {"y": 0.2, "yaw": 0.8}
 #: Distance of the hand's motion: y [m], yaw [rad].
-WAY = {"y": 0.25, "yaw": 0.8}
+PULL = {"y": 0.25, "yaw": 0.8}
 NUMBER_OF_FIGURE = {"y": "Fig. 4", "yaw": "Fig. 5"}
 
 
@@ -185,12 +186,12 @@ def amount(axis: str) -> Callable[[float], str]:
 
 def worst(runs: Numbers, name: str) -> float:
     """Return the largest value of the number `name` over the runs in both directions."""
-    return float(max(one[name] for one in runs.values()))
+    return float(max(run[name] for run in runs.values()))
 
 
 def least(runs: Numbers, name: str) -> float:
     """Return the smallest value of the number `name` over the runs in both directions."""
-    return float(min(one[name] for one in runs.values()))
+    return float(min(run[name] for run in runs.values()))
 
 
 def axis_figures(axis: str, numbers: Numbers) -> tuple[Figure, ...]:
@@ -205,7 +206,7 @@ def axis_figures(axis: str, numbers: Numbers) -> tuple[Figure, ...]:
     title = NUMBER_OF_FIGURE[axis]
     common = (
         f"{axis} is compliant, d⁻ = {of(RANGE[axis][0])}, d⁺ = {of(RANGE[axis][1])}. A hand of "
-        f"{push} pulls by {of(WAY[axis])} within 2 to 3.5 s, holds on until 5 s and lets go; the "
+        f"{push} pulls by {of(PULL[axis])} within 2 to 3.5 s, holds on until 5 s and lets go; the "
         "grey band marks it."
     )
     overview = Figure(
@@ -240,27 +241,27 @@ def axis_figures(axis: str, numbers: Numbers) -> tuple[Figure, ...]:
 
 def _paper(axis: str, law: Numbers) -> tuple[Statement, ...]:
     of = amount(axis)
-    none, some, full = (law[eta] for eta in ("0", "0.9", "0.999"))
-    fade, gone = RANGE[axis]
-    ratio = [worst(runs, "drift") / max(least(runs, "moved"), 1e-9) for runs in (none, full)]
+    eta0, eta09, full = (law[eta] for eta in ("0", "0.9", "0.999"))
+    fade, end = RANGE[axis]
+    ratio = [worst(runs, "drift") / max(least(runs, "moved"), 1e-9) for runs in (eta0, full)]
     return (
         Statement(
             claim="η = 0: the tool gives way only by a fraction of d⁺.",
-            outcome=f"It moves by {span(of, none, 'moved')}, with d⁺ = {of(gone)}.",
-            tests=(between("moved", worst(none, "moved"), fade / 2, gone),),
+            outcome=f"It moves by {span(of, eta0, 'moved')}, with d⁺ = {of(end)}.",
+            tests=(between("moved", worst(eta0, "moved"), fade / 2, end),),
         ),
         Statement(
             claim="η = 0: compliance falls with the deviation, the limits rise, and the arm "
             "resists.",
-            outcome=f"c falls to {span('{:.2f}'.format, none, 'least_c')} while the hand pulls "
-            f"with up to {worst(none, 'force'):.1f} {_unit(axis)}.",
-            tests=(at_most("smallest c", worst(none, "least_c"), 0.95),),
+            outcome=f"c falls to {span('{:.2f}'.format, eta0, 'least_c')} while the hand pulls "
+            f"with up to {worst(eta0, 'force'):.1f} {_unit(axis)}.",
+            tests=(at_most("smallest c", worst(eta0, "least_c"), 0.95),),
         ),
         Statement(
             claim="η = 0: other axes deviate too; with strong adaptation they stay near their "
             "targets.",
-            outcome=f"The hand drags other positions by {mm(worst(none, 'drift'))} at η = 0 for "
-            f"{of(least(none, 'moved'))} of {axis}, and by {mm(worst(full, 'drift'))} at η = 0.999 "
+            outcome=f"The hand drags other positions by {mm(worst(eta0, 'drift'))} at η = 0 for "
+            f"{of(least(eta0, 'moved'))} of {axis}, and by {mm(worst(full, 'drift'))} at η = 0.999 "
             f"for {of(least(full, 'moved'))}; the servos' own sag under gravity is not counted.",
             tests=(
                 at_least(
@@ -270,30 +271,30 @@ def _paper(axis: str, law: Numbers) -> tuple[Statement, ...]:
         ),
         Statement(
             claim="η = 0.999: the tool follows the hand all the way.",
-            outcome=f"It moves by {of(least(full, 'moved'))} of {of(WAY[axis])}, against at most "
-            f"{worst(full, 'force'):.1f} {_unit(axis)}; at η = 0.9 by {of(least(some, 'moved'))}.",
-            tests=(at_least("moved", least(full, "moved"), 0.9 * WAY[axis]),),
+            outcome=f"It moves by {of(least(full, 'moved'))} of {of(PULL[axis])}, against at most "
+            f"{worst(full, 'force'):.1f} {_unit(axis)}; at η = 0.9 by {of(least(eta09, 'moved'))}.",
+            tests=(at_least("moved", least(full, "moved"), 0.9 * PULL[axis]),),
         ),
         Statement(
             claim="Let go, the tool moves back to its target slowly (η = 0 and 0.9).",
             outcome=f"Time until it is back within {of(RETURN_TOLERANCE[axis == 'yaw'])}: "
-            f"{return_times(axis, none)} (η = 0) and {return_times(axis, some)} (η = 0.9), "
-            f"{of(worst(some, 'left'))} being left; the fastest return goes at "
-            f"{max(worst(none, 'return_speed'), worst(some, 'return_speed')):.2f} "
+            f"{return_times(axis, eta0)} (η = 0) and {return_times(axis, eta09)} (η = 0.9), "
+            f"{of(worst(eta09, 'left'))} being left; the fastest return goes at "
+            f"{max(worst(eta0, 'return_speed'), worst(eta09, 'return_speed')):.2f} "
             f"{_unit(axis, 'speed')}.",
             tests=(
                 at_most(
                     "deviation left",
-                    max(worst(none, "left"), worst(some, "left")),
+                    max(worst(eta0, "left"), worst(eta09, "left")),
                     RETURN_TOLERANCE[axis == "yaw"],
                 ),
                 at_most(
                     "speed",
-                    max(worst(none, "return_speed"), worst(some, "return_speed")),
+                    max(worst(eta0, "return_speed"), worst(eta09, "return_speed")),
                     SLOW[axis],
                 ),
             ),
-            because=_why_not_slowly(axis, none, some),
+            because=_why_not_slowly(axis, eta0, eta09),
         ),
         Statement(
             claim="η = 0.999: let go, the arm moves on to a pose where gravity is in balance.",
@@ -303,10 +304,14 @@ def _paper(axis: str, law: Numbers) -> tuple[Statement, ...]:
             f"had already drifted by {of(worst(full, 'before'))}.",
             tests=(
                 at_least(
-                    "motion after release", worst(full, "crept"), RETURN_TOLERANCE[axis == "yaw"]
+                    "motion after release",
+                    worst(full, "crept"),
+                    RETURN_TOLERANCE[axis == "yaw"],
                 ),
                 at_most(
-                    "speed at the end", worst(full, "still_moving"), 0.005 if axis == "y" else 0.02
+                    "speed at the end",
+                    worst(full, "still_moving"),
+                    0.005 if axis == "y" else 0.02,
                 ),
             ),
             because="it creeps on: with a target that follows, nothing but friction is left to "
@@ -315,25 +320,25 @@ def _paper(axis: str, law: Numbers) -> tuple[Statement, ...]:
     )
 
 
-def _why_not_slowly(axis: str, none: Numbers, some: Numbers) -> str:
+def _why_not_slowly(axis: str, eta0: Numbers, eta09: Numbers) -> str:
     """Return the known reasons for which law `paper` does not return slowly to the target.
 
     Args:
         axis: The dragged axis.
-        none: Numbers of the runs with η = 0.
-        some: Numbers of the runs with η = 0.9.
+        eta0: Numbers of the runs with η = 0.
+        eta09: Numbers of the runs with η = 0.9.
 
     Returns:
         Reasons for a remaining deviation with η = 0.9 and for a fast return; empty if neither
         occurred.
     """
     reasons = []
-    if worst(some, "left") > RETURN_TOLERANCE[axis == "yaw"]:
+    if worst(eta09, "left") > RETURN_TOLERANCE[axis == "yaw"]:
         reasons.append(
             "gravity, of which this law knows nothing, keeps it "
-            f"{amount(axis)(worst(some, 'left'))} off at η = 0.9"
+            f"{amount(axis)(worst(eta09, 'left'))} off at η = 0.9"
         )
-    if max(worst(none, "return_speed"), worst(some, "return_speed")) > SLOW[axis]:
+    if max(worst(eta0, "return_speed"), worst(eta09, "return_speed")) > SLOW[axis]:
         reasons.append(
             "stretched servos of this stiffness throw the arm back; the servos' own speed limit, "
             "which Cosero had, is not used here"
@@ -360,17 +365,17 @@ def _study(axis: str, law: Numbers) -> tuple[Statement, ...]:
         )
     ]
     if axis == "y":
-        some = law["0.9"]
+        eta09 = law["0.9"]
         statements.append(
             band(
                 claim="Law cap, η = 0.9: follows beyond 0.2 m for less than 13 N and comes back to "
                 "15 mm.",
-                outcome=f"Moves by {of(least(some, 'moved'))} for {worst(some, 'force'):.1f} N; "
-                f"after the release back within 15 mm after {return_times(axis, some)}.",
+                outcome=f"Moves by {of(least(eta09, 'moved'))} for {worst(eta09, 'force'):.1f} N; "
+                f"after the release back within 15 mm after {return_times(axis, eta09)}.",
                 tests=(
-                    at_least("moved", least(some, "moved"), 0.2),
-                    at_most("force", worst(some, "force"), 13.0),
-                    at_most("left", worst(some, "left"), 0.015),
+                    at_least("moved", least(eta09, "moved"), 0.2),
+                    at_most("force", worst(eta09, "force"), 13.0),
+                    at_most("left", worst(eta09, "left"), 0.015),
                 ),
                 because="it is still on its way at the end of the run.",
             )
@@ -378,21 +383,21 @@ def _study(axis: str, law: Numbers) -> tuple[Statement, ...]:
     return tuple(statements)
 
 
-def comes_back(axis: str, one: Numbers) -> str:
+def comes_back(axis: str, run: Numbers) -> str:
     """Return as text the time in which the arm returned in a run, or that it did not return.
 
     Without a return, the text is "stays" if the arm hardly moved after the release, and otherwise
     "not back".
     """
-    if one["returned"] is not None:
-        return f"{one['returned']:.1f} s"
-    return "stays" if one["crept"] <= RETURN_TOLERANCE[axis == "yaw"] else "not back"
+    if run["returned"] is not None:
+        return f"{run['returned']:.1f} s"
+    return "stays" if run["crept"] <= RETURN_TOLERANCE[axis == "yaw"] else "not back"
 
 
 def return_times(axis: str, runs: Numbers) -> str:
     """Return the texts of `comes_back` for both directions, as one text."""
-    each = dict.fromkeys(comes_back(axis, one) for one in runs.values())
-    return " and ".join(each)
+    texts = dict.fromkeys(comes_back(axis, run) for run in runs.values())
+    return " and ".join(texts)
 
 
 def span(of: Callable[[float], str], runs: Numbers, name: str) -> str:
@@ -401,8 +406,8 @@ def span(of: Callable[[float], str], runs: Numbers, name: str) -> str:
     return low if low == high else f"{low} to {high}"
 
 
-def _unit(axis: str, what: str = "force") -> str:
-    return {"force": ("N", "N·m"), "speed": ("m/s", "rad/s")}[what][axis == "yaw"]
+def _unit(axis: str, kind: str = "force") -> str:
+    return {"force": ("N", "N·m"), "speed": ("m/s", "rad/s")}[kind][axis == "yaw"]
 
 
 def return_table(axis: str, numbers: Numbers) -> Table:
@@ -411,18 +416,18 @@ def return_table(axis: str, numbers: Numbers) -> Table:
     rows = []
     for law, etas in numbers.items():
         for eta, runs in etas.items():
-            for direction, one in runs.items():
+            for direction, run in runs.items():
                 rows.append(
                     (
                         law,
                         eta,
                         direction,
-                        of(one["moved"]),
-                        f"{one['force']:.2f} {_unit(axis)}",
-                        mm(one["position"]),
-                        f"{1e3 * one['rotation']:.0f} mrad",
-                        comes_back(axis, one),
-                        of(one["left"]),
+                        of(run["moved"]),
+                        f"{run['force']:.2f} {_unit(axis)}",
+                        mm(run["position"]),
+                        f"{1e3 * run['rotation']:.0f} mrad",
+                        comes_back(axis, run),
+                        of(run["left"]),
                     )
                 )
     limit = "0.06 rad" if axis == "yaw" else "15 mm"
@@ -462,9 +467,9 @@ def draw_overview(traces: Mapping[str, Trace], axis: str, folder: Path) -> None:
     direction.
     """
     index = AXES.index(axis)
-    turning = index > 2
+    is_rotation = index > 2
     others = [i for i in range(3) if i != index]
-    scale, unit = (1.0, "rad") if turning else (1e3, "mm")
+    scale, unit = (1.0, "rad") if is_rotation else (1e3, "mm")
     with canvas(3, 3, size=(WIDE, 6.4), sharex=True, sharey="row") as (figure, axes):
         for column, eta in enumerate(ETA_NAMES):
             for law in ("paper", "cap"):
@@ -479,7 +484,7 @@ def draw_overview(traces: Mapping[str, Trace], axis: str, folder: Path) -> None:
                         "linewidth": 1.6 if law == "cap" else 1.3,
                     }
                     t = trace.t[step]
-                    effort = (trace.moment if turning else trace.force)[step, index % 3]
+                    effort = (trace.moment if is_rotation else trace.force)[step, index % 3]
                     farthest = np.abs(trace.error[step][:, others]).max(axis=1)
                     axes[0, column].plot(t, -scale * trace.error[step, index], **line)
                     axes[1, column].plot(t, 1e3 * farthest, **line)
@@ -494,7 +499,7 @@ def draw_overview(traces: Mapping[str, Trace], axis: str, folder: Path) -> None:
         pad_y_range(axes[0], 0.14)
         pad_y_range(axes[1], 0.14)
         axes[1, 0].set_ylim(bottom=0.0)
-        axes[2, 0].set_ylabel(f"hand [{'N·m' if turning else 'N'}]")
+        axes[2, 0].set_ylabel(f"hand [{'N·m' if is_rotation else 'N'}]")
         names(
             axes[0, 0],
             [("paper, no gravity model", LAW_COLOURS["paper"]), ("cap", LAW_COLOURS["cap"])],

@@ -68,18 +68,18 @@ def jobs(options: Options) -> list[Job]:
     With option `quick`, only x and y with laws `paper` and `cap`, and x with `LITERAL` are run.
     """
     axes = ("x", "y") if options.quick else AXES
-    wanted = {name: LAWS[name] for name in (("paper", "cap") if options.quick else LAWS)}
+    laws = {name: LAWS[name] for name in (("paper", "cap") if options.quick else LAWS)}
     runs = [
         Job(f"{axis}/{law}", track, (partial(make, soft=axis, eta=0.0), axis))
         for axis in axes
-        for law, make in wanted.items()
+        for law, make in laws.items()
     ]
     runs.append(Job("x/literal", track, (partial(LITERAL, soft="x", eta=0.0), "x")))
     return runs
 
 
 def measure(outcomes: Mapping[str, TrackResult]) -> Numbers:
-    """Return the numbers by axis and law."""
+    """Return relative and absolute errors of each run, and the tool height, by axis and law."""
     numbers: dict[str, dict[str, dict[str, float]]] = {}
     for name, run in outcomes.items():
         axis, law = name.split("/")
@@ -91,8 +91,8 @@ def _one(run: TrackResult, axis: int) -> dict[str, float]:
     trace = run.trace
     swing = trace.between(1.0, 17.0)
     error, c = trace.error[swing, axis], trace.compliance[swing, axis]
-    far = trace.position[:, 0] > 0.40
-    lowest = int(np.argmin(np.where(far, trace.position[:, 2], np.inf))) if far.any() else 0
+    is_far = trace.position[:, 0] > 0.40
+    lowest = int(np.argmin(np.where(is_far, trace.position[:, 2], np.inf))) if is_far.any() else 0
     return {
         "share": run.share,
         "share_without_mean": metrics.rms(error - error.mean()) / AMPLITUDE[AXES[axis]],
@@ -109,11 +109,11 @@ def _one(run: TrackResult, axis: int) -> dict[str, float]:
 def chapter(numbers: Numbers) -> Chapter:
     """Return the chapter with the paper's statements about Figs 6 and 7."""
     axes = [axis for axis in AXES if axis in numbers]
-    turning = [axis for axis in axes if AXES.index(axis) > 2]
+    rotations = [axis for axis in axes if AXES.index(axis) > 2]
     moving = [axis for axis in axes if AXES.index(axis) < 3]
     figures = [_swing(numbers, moving, "3-tracking-positions", "Fig. 6")]
-    if turning:
-        figures.append(_swing(numbers, turning, "3-tracking-rotations", "Fig. 7"))
+    if rotations:
+        figures.append(_swing(numbers, rotations, "3-tracking-rotations", "Fig. 7"))
     figures.append(_loss(numbers))
     worst = max(numbers[axis]["cap"]["share"] for axis in axes)
     return Chapter(
@@ -150,17 +150,17 @@ def _follows(numbers: Numbers, axes: list[str]) -> tuple[Statement, ...]:
     for axis in axes:
         if axis == "x":
             continue
-        one = numbers[axis]["paper"]
-        share, rest = one["share"], one["share_without_mean"]
+        figures = numbers[axis]["paper"]
+        share, remainder = figures["share"], figures["share_without_mean"]
         statements.append(
             Statement(
                 claim=f"{axis}: follows very well.",
-                outcome=f"The rms error is {share:.3f} of the amplitude; {rest:.3f} without its "
-                "constant part.",
+                outcome=f"The rms error is {share:.3f} of the amplitude; {remainder:.3f} without "
+                "its constant part.",
                 tests=(at_most("rms error / amplitude", share, WELL),),
                 because="the constant sag of servos without a gravity model is most of the error; "
                 "what swings is followed."
-                if rest <= WELL
+                if remainder <= WELL
                 else "",
             )
         )
@@ -170,7 +170,7 @@ def _follows(numbers: Numbers, axes: list[str]) -> tuple[Statement, ...]:
 def _bands(numbers: Numbers, axes: list[str]) -> tuple[Statement, ...]:
     cap = {axis: numbers[axis]["cap"] for axis in axes}
     shares = listed([f"{cap[axis]['share']:.3f} ({axis})" for axis in axes])
-    others = max(one["other_positions"] for one in cap.values())
+    others = max(figures["other_positions"] for figures in cap.values())
     limit = 0.009 if {"pitch", "yaw"} & set(axes) else 0.007
     statements = [
         band(
@@ -184,8 +184,8 @@ def _bands(numbers: Numbers, axes: list[str]) -> tuple[Statement, ...]:
     ]
     if all("paper + gravity" in numbers[axis] for axis in axes):
         rec = {axis: numbers[axis]["paper + gravity"] for axis in axes}
-        worst = max(one["share"] for one in rec.values())
-        others = max(one["other_positions"] for one in rec.values())
+        worst = max(figures["share"] for figures in rec.values())
+        others = max(figures["other_positions"] for figures in rec.values())
         statements.append(
             band(
                 claim="The paper's law with a gravity model follows within 0.035 and keeps the "
@@ -201,8 +201,8 @@ def _bands(numbers: Numbers, axes: list[str]) -> tuple[Statement, ...]:
 
 
 def _loss(numbers: Numbers) -> Figure:
-    literal, stepped = numbers["x"]["literal"], numbers["x"]["paper"]
-    better = numbers["x"]["cap"]
+    literal, with_steps = numbers["x"]["literal"], numbers["x"]["paper"]
+    cap = numbers["x"]["cap"]
     return Figure(
         file="3-loss-of-z",
         title="Swinging in x without a gravity model, the arm loses height",
@@ -217,7 +217,7 @@ def _loss(numbers: Numbers) -> Figure:
             Statement(
                 claim="Far forward, z is lost downwards.",
                 outcome=f"{mm(literal['sunk'])} lower at x = {literal['x_when_lowest']:.2f} m; "
-                f"{mm(stepped['sunk'])} with step limits per axis.",
+                f"{mm(with_steps['sunk'])} with step limits per axis.",
                 tests=(
                     between("z lost", literal["sunk"], 0.035, 0.140, "m"),
                     at_least("x", literal["x_when_lowest"], 0.40, "m"),
@@ -239,8 +239,8 @@ def _loss(numbers: Numbers) -> Figure:
             ),
             band(
                 claim="With gravity in goals and limits nothing is lost.",
-                outcome=f"Law cap loses {mm(max(better['sunk'], 0.0))} at most.",
-                tests=(at_most("z lost", better["sunk"], 0.007, "m"),),
+                outcome=f"Law cap loses {mm(max(cap['sunk'], 0.0))} at most.",
+                tests=(at_most("z lost", cap["sunk"], 0.007, "m"),),
             ),
         ),
     )
@@ -303,19 +303,19 @@ def draw_swings(
             others = [i for i in range(3) if i != index]
             scale, unit = (1e3, "mm") if index < 3 else (1.0, "rad")
             top, low = axes[:, column]
-            drawn = [law for law in ORDER if f"{axis}/{law}" in traces]
-            for law in drawn:
+            laws = [law for law in ORDER if f"{axis}/{law}" in traces]
+            for law in laws:
                 trace = traces[f"{axis}/{law}"]
                 step = thin(trace.t)
                 t = trace.t[step]
                 colour = LAW_COLOURS[law]
                 top.plot(t, scale * trace.moved[step, index], color=colour, linewidth=1.4)
-                away = np.abs(trace.error[step][:, others]).max(axis=1)
-                low.plot(t, 1e3 * away, color=colour, linewidth=1.4)
-            trace = traces[f"{axis}/{drawn[0]}"]
+                deviation = np.abs(trace.error[step][:, others]).max(axis=1)
+                low.plot(t, 1e3 * deviation, color=colour, linewidth=1.4)
+            trace = traces[f"{axis}/{laws[0]}"]
             step = thin(trace.t)
-            wanted = trace.moved[step, index] + trace.error[step, index]
-            top.plot(trace.t[step], scale * wanted, color=INK, linewidth=0.9, linestyle=(0, (4, 3)))
+            target = trace.moved[step, index] + trace.error[step, index]
+            top.plot(trace.t[step], scale * target, color=INK, linewidth=0.9, linestyle=(0, (4, 3)))
             top.set_title(f"{axis} compliant")
             low.set_xlabel("time [s]")
             low.xaxis.set_major_locator(MultipleLocator(4.0))
@@ -323,7 +323,7 @@ def draw_swings(
                 top.set_ylabel(f"along the axis [{unit}]")
                 low.set_ylabel("other positions [mm]")
         axes[1, 0].set_ylim(bottom=0.0)
-        entries = [("target", INK), *((law, LAW_COLOURS[law]) for law in drawn)]
+        entries = [("target", INK), *((law, LAW_COLOURS[law]) for law in laws)]
         names(axes[0, 0], entries, right=False, top=False)
         save(figure, folder, file)
 
@@ -334,7 +334,7 @@ def draw_loss(traces: Mapping[str, Trace], folder: Path) -> None:
     The plots show x and z of the tool and the compliance of x with three laws, and the torque of
     the shoulder pitch with `LITERAL`.
     """
-    shown = (
+    curves = (
         ("x/literal", "paper, no step limits", RED),
         ("x/paper", "paper, step limits", ORANGE),
         ("x/cap", "cap", BLUE),
@@ -346,7 +346,7 @@ def draw_loss(traces: Mapping[str, Trace], folder: Path) -> None:
         x, z, c, torque = axes[:, 0]
         end = 0.0
         marks: list[tuple[float, str, str]] = []
-        for key, name, colour in shown:
+        for key, name, colour in curves:
             trace = traces[key]
             step = thin(trace.t)
             t = trace.t[step]
@@ -359,8 +359,8 @@ def draw_loss(traces: Mapping[str, Trace], folder: Path) -> None:
         literal = traces["x/literal"]
         step = thin(literal.t)
         t = literal.t[step]
-        wanted = literal.position[step, 0] + literal.error[step, 0]
-        x.plot(t, wanted, color=INK, linewidth=0.9, linestyle=(0, (4, 3)))
+        target = literal.position[step, 0] + literal.error[step, 0]
+        x.plot(t, target, color=INK, linewidth=0.9, linestyle=(0, (4, 3)))
         limit = literal.limit[step, 0]
         torque.fill_between(t, -limit, limit, color=MUTED, alpha=0.16, linewidth=0)
         torque.plot(t, literal.torque[step, 0], color=RED)
@@ -372,7 +372,7 @@ def draw_loss(traces: Mapping[str, Trace], folder: Path) -> None:
         torque.set_xlabel("time [s]")
         z.axhline(0.0, color=MUTED, linewidth=0.7)
         x.set_xlim(0.0, end)
-        label_end(x, end, [*marks, (float(wanted[-1]), "target", INK)])
+        label_end(x, end, [*marks, (float(target[-1]), "target", INK)])
         label_end(
             torque,
             end,

@@ -24,9 +24,9 @@ class Scribe(SimDrive):
         if self.broken:
             raise pliant.ServoError("unplugged")
         sample = super().read()
-        lost = np.isin(self.names, list(self.silent))
-        sample.position[lost] = np.nan
-        sample.ok[lost] = False
+        is_missing = np.isin(self.names, list(self.silent))
+        sample.position[is_missing] = np.nan
+        sample.ok[is_missing] = False
         return sample
 
     def write(self, goal, limit, velocity=None):
@@ -48,11 +48,11 @@ class Scribe(SimDrive):
 
     def verbs(self):
         """Return the names of the recorded calls; consecutive equal ones count once."""
-        found = []
+        names = []
         for verb, *_ in self.diary:
-            if not found or found[-1] != verb:
-                found.append(verb)
-        return found
+            if not names or names[-1] != verb:
+                names.append(verb)
+        return names
 
 
 @pytest.fixture

@@ -84,7 +84,7 @@ def test_goals_stay_within_position_limits_and_what_the_weight_needs(make):
         arm.leave_enabled()
 
 
-def test_what_cannot_be_sent_is_not(make, grasp):
+def test_invalid_commands_are_not_sent(make, grasp):
     arm = make()
     with pytest.raises(pliant.ServoError, match="torque is off"):
         arm.write(grasp)
@@ -138,7 +138,7 @@ def test_limp_is_torque_off_at_once(make):
     assert not arm.drive.enabled.any()
 
 
-def test_park_needs_a_pose_and_goes_there(make):
+def test_park_needs_a_rest_pose_and_moves_there(make):
     arm = make()
     with arm:
         with pytest.raises(pliant.ConfigError, match="no pose to park in"):
@@ -164,9 +164,9 @@ def test_a_bus_that_is_gone_ends_the_descent_with_advice(make):
             arm.drive.broken = True
             raise KeyError("first")
 
-    with pytest.raises(KeyError) as caught:
+    with pytest.raises(KeyError) as error:
         fail()
-    assert "while the arm was being lowered" in caught.value.__notes__[0]
+    assert "while the arm was being lowered" in error.value.__notes__[0]
 
 
 def test_joints_that_do_not_answer_are_named_before_torque_goes_on(make):
@@ -178,35 +178,38 @@ def test_joints_that_do_not_answer_are_named_before_torque_goes_on(make):
     assert not arm.enabled
 
 
-@pytest.mark.parametrize(("way", "starts"), [(0.05, True), (-0.05, True), (0.5, False)])
-def test_a_joint_measured_outside_its_limits_gets_no_torque(make, grasp, way, starts):
+@pytest.mark.parametrize(("direction", "is_accepted"), [(0.05, True), (-0.05, True), (0.5, False)])
+def test_a_joint_measured_outside_its_limits_gets_no_torque(make, grasp, direction, is_accepted):
     arm = make()
-    read, model = arm.drive.read, arm.model
+    original, model = arm.drive.read, arm.model
     low, high = model.lower[3], model.upper[3]
 
     def misplaced():
-        sample = read()
-        sample.position[3] = high + way if way > 0.0 else low + way
+        sample = original()
+        sample.position[3] = high + direction if direction > 0.0 else low + direction
         return sample
 
     arm.drive.read = misplaced
-    assert arm.drive.read().position[3] != pytest.approx(arm.drive.plant.q[3], abs=abs(way) / 2)
-    if starts:  # a joint on its stop
+    assert arm.drive.read().position[3] != pytest.approx(
+        arm.drive.plant.q[3], abs=abs(direction) / 2
+    )
+    if is_accepted:  # a joint on its stop
         arm.enable()
-        assert arm.read().q[3] == (high if way > 0.0 else low) + way
+        assert arm.read().q[3] == (high if direction > 0.0 else low) + direction
         arm.disable_torque()
         return
-    said = (
-        rf"elbow_pitch stands at {high + way:.2f} rad, outside its {low:.2f} to {high:.2f}.*doctor"
+    message = (
+        rf"elbow_pitch stands at {high + direction:.2f} rad, "
+        rf"outside its {low:.2f} to {high:.2f}.*doctor"
     )
-    with pytest.raises(pliant.ServoError, match=said):
+    with pytest.raises(pliant.ServoError, match=message):
         arm.enable()
     assert arm.drive.diary == []
     assert not arm.enabled
 
 
 @pytest.mark.parametrize("robot", ["arm7", "so101", "koch"])
-def test_an_arm_that_was_dropped_starts_from_where_it_lies(make, robot):
+def test_an_arm_that_was_dropped_starts_from_its_present_position(make, robot):
     arm = make(q=None, robot=robot)
     upper = np.asarray(arm.model.upper)
     arm.drive.plant.reset(np.where(np.isfinite(upper), 0.9 * upper, 0.0))
@@ -218,7 +221,7 @@ def test_an_arm_that_was_dropped_starts_from_where_it_lies(make, robot):
     arm.disable_torque()
 
 
-def test_readings_that_cannot_be_true_grow_old(make):
+def test_implausible_readings_are_not_used(make):
     arm = make()
     arm.enable()
     first = arm.read()
@@ -260,7 +263,7 @@ def test_a_gripper_holds_on_while_the_arm_comes_down(make):
     assert set(orders[-20:-1]) == {(0.2, 0.05)}
 
 
-def test_an_arm_names_what_does_not_fit(make):
+def test_arguments_of_an_arm_that_do_not_match_are_named(make):
     model = pliant.robots.arm7()
     drive = SimDrive(Plant(pliant.robots.so101()))
     with pytest.raises(pliant.ConfigError, match="no servo is named shoulder_pitch"):
@@ -278,7 +281,7 @@ def test_connect_by_name_and_by_parts():
     assert (arm.model.n, arm.rate, arm.clock.period) == (5, 200.0, 0.005)
     assert pliant.connect("so101", backend="sim", rate=50.0).rate == 50.0
     assert pliant.Arm(arm.model, arm.drive).drive is arm.drive
-    for wrong, message in (
+    for arguments, message in (
         (lambda: pliant.connect({"kind": "bus"}), "cannot connect to"),
         (lambda: pliant.connect("arm.toml"), "no file arm.toml"),
         (lambda: pliant.connect("so102"), "did you mean 'so101'"),
@@ -289,11 +292,11 @@ def test_connect_by_name_and_by_parts():
         ),
     ):
         with pytest.raises(pliant.ConfigError, match=message):
-            wrong()
+            arguments()
 
 
 def test_a_misspelt_option_is_named_before_a_port_is_looked_for():
-    for wrong, near in (
+    for option, suggestion in (
         (lambda: pliant.connect("so101", backned="sim"), "'backned' here; did you mean 'backend'"),
         (lambda: pliant.connect("so101", on_exti="leave_enabled"), "did you mean 'on_exit'"),
         (
@@ -302,8 +305,8 @@ def test_a_misspelt_option_is_named_before_a_port_is_looked_for():
         ),
         (lambda: pliant.connect("so101", q=[0.0] * 5), "'q' is an option of a simulated arm"),
     ):
-        with pytest.raises(pliant.ConfigError, match=near):
-            wrong()
+        with pytest.raises(pliant.ConfigError, match=suggestion):
+            option()
 
 
 def test_degrees_are_refused_before_anything_is_sent():
@@ -331,7 +334,7 @@ def test_controllers_made_from_the_model_assume_the_arms_servos():
     assert arm.servos.kp.tolist()[:5] == model.servos.kp.tolist()
 
 
-def test_what_cannot_be_connected_is_named():
+def test_connect_names_an_invalid_arm():
     for nothing in (42, None):
         with pytest.raises(pliant.ConfigError, match="cannot connect to"):
             pliant.connect(nothing)

@@ -49,7 +49,7 @@ def test_a_supply_needs_known_currents():
 
 
 @pytest.mark.parametrize("name", ["continuous", "seconds", "supply", "hottest"])
-def test_what_is_not_a_number_is_no_budget(name):
+def test_a_budget_that_is_not_finite_is_refused(name):
     with pytest.raises(pliant.ConfigError, match=f"Budget.{name}: must be"):
         Budget(**{name: np.nan})
 
@@ -65,9 +65,9 @@ def test_limits_of_an_arm_come_down_with_its_heat_but_carry_its_weight(make):
             constant = np.sqrt(heat) * Budget().continuous * arm._io._usable
             arm._io.thermal.update(constant, 1e9)
             arm.write(q, torque)
-            _, _, sent = arm.drive.diary[-1]
+            _, _, limit = arm.drive.diary[-1]
             weight = 1.1 * np.abs(arm.model.gravity(q))
-            assert sent == pytest.approx(np.maximum(share * torque, weight))
+            assert limit == pytest.approx(np.maximum(share * torque, weight))
         assert set(arm.heat.values()) == {1.1}
         arm.leave_enabled()
 

@@ -35,14 +35,16 @@ def over_bytes():
 
 @pytest.mark.parametrize("backend", [simulated, over_bytes])
 def test_time_begins_with_the_loop(backend, tmp_path):
-    called = []
+    reaction_times = []
     with backend() as arm:
         controller = pliant.Controller(
             arm.model, pliant.Settings.firm(task="xyz").replace(rate=50.0), arm.servos
         )
-        watch = ReactionMonitor(controller, [Reaction(Force("z", above=90.0), Call(called.append))])
+        watch = ReactionMonitor(
+            controller, [Reaction(Force("z", above=90.0), Call(reaction_times.append))]
+        )
         arm.clock.wait_until(arm.clock.now() + 0.7)  # the program does something else first
-        ticks, watched, began = [], [], []
+        ticks, times, drive_times = [], [], []
         target = None
         recorder = Recorder(tmp_path / "run.mcap")
         for tick in pliant.Loop(arm, controller, rate=50.0, duration=1.0, recorder=recorder):
@@ -51,14 +53,14 @@ def test_time_begins_with_the_loop(backend, tmp_path):
             watch.update(tick.q, target, dt=tick.dt)
             tick.step(target)
             ticks.append(tick.time)
-            began.append(tick.began)
-            watched.append(watch._time)
+            drive_times.append(tick.began)
+            times.append(watch._time)
         again = next(iter(pliant.Loop(arm, controller, rate=50.0)))
         again.skip()
     assert ticks[0] == 0.0
     assert again.time == 0.0
-    assert np.allclose(np.diff(ticks), np.diff(began))
+    assert np.allclose(np.diff(ticks), np.diff(drive_times))
     assert ticks[-1] == pytest.approx(0.98, abs=0.021)
     log = read(tmp_path / "run.mcap")
     assert np.allclose(log.time + log.lag, ticks, atol=1e-9)
-    assert np.allclose(watched, ticks, atol=0.02), "events are of the same clock"
+    assert np.allclose(times, ticks, atol=0.02), "events are of the same clock"

@@ -1,4 +1,4 @@
-"""The end of a program: its messages, and that it ends even if standard error cannot be written."""
+"""End of a program: its messages; it also ends if standard error cannot be written."""
 
 import contextlib
 import logging
@@ -70,44 +70,44 @@ def begin(program, stderr=PIPE):
 
 def run(program, stderr=PIPE):
     with begin(program, stderr) as process:
-        said, complained = process.communicate(timeout=100)
-    return said.split(), complained, process.returncode
+        stdout, complained = process.communicate(timeout=100)
+    return stdout.split(), complained, process.returncode
 
 
 @contextlib.contextmanager
 def reader(kind):
-    """Return the write end of a standard error that is closed, full, or never drained."""
+    """Yield a stream for standard error that is closed, full, or never read."""
     if kind == "full":
         with open("/dev/full", "w", encoding="utf-8") as file:
             yield file
         return
-    get, put = os.pipe()
+    read_end, write_end = os.pipe()
     if kind == "gone":
-        os.close(get)
+        os.close(read_end)
     else:
-        os.set_blocking(put, False)
+        os.set_blocking(write_end, False)
         with contextlib.suppress(BlockingIOError):
             while True:
-                os.write(put, bytes(4096))
+                os.write(write_end, bytes(4096))
         with contextlib.suppress(BlockingIOError):
             while True:
-                os.write(put, bytes(1))
-        os.set_blocking(put, True)
+                os.write(write_end, bytes(1))
+        os.set_blocking(write_end, True)
     try:
-        yield put
+        yield write_end
     finally:
-        os.close(put)
+        os.close(write_end)
         if kind != "gone":
-            os.close(get)
+            os.close(read_end)
 
 
 DEAD = ["gone", pytest.param("full", marks=pytest.mark.full), "blocked"]
 
 
 @pytest.mark.parametrize("kind", DEAD)
-def test_a_signal_lowers_whatever_became_of_the_reader(kind):
+def test_a_signal_lowers_the_arm_although_stderr_cannot_be_written(kind):
     with reader(kind) as stderr:
-        said, _, _ = run(
+        stdout, _, _ = run(
             """
             try:
                 with connect():
@@ -119,13 +119,13 @@ def test_a_signal_lowers_whatever_became_of_the_reader(kind):
             """,
             stderr,
         )
-    assert said == ["torque", "off", "down"]
+    assert stdout == ["torque", "off", "down"]
 
 
 @pytest.mark.parametrize("kind", DEAD)
-def test_a_stalled_program_is_lowered_whatever_became_of_the_reader(kind):
+def test_a_stalled_program_is_lowered_although_stderr_cannot_be_written(kind):
     with reader(kind) as stderr:
-        said, _, _ = run(
+        stdout, _, _ = run(
             """
             def wait():
                 while arm.enabled:
@@ -140,11 +140,11 @@ def test_a_stalled_program_is_lowered_whatever_became_of_the_reader(kind):
             """,
             stderr,
         )
-    assert said == ["torque", "off", "down"]
+    assert stdout == ["torque", "off", "down"]
 
 
 def test_a_program_that_blocks_after_ctrl_c_is_lowered():
-    said, complained, _ = run("""
+    stdout, stderr, _ = run("""
         with connect(real_time=True, comm_timeout=0.1, dt=0.005, q=NEAR):
             def look():
                 while arm.enabled:
@@ -159,7 +159,7 @@ def test_a_program_that_blocks_after_ctrl_c_is_lowered():
             finally:
                 threading.Event().wait()  # as a terminal that is stopped blocks a print
     """)
-    assert said == ["torque", "off", "down"], complained
+    assert stdout == ["torque", "off", "down"], stderr
 
 
 @pytest.mark.parametrize(
@@ -175,7 +175,7 @@ def test_a_program_that_blocks_after_ctrl_c_is_lowered():
     ],
 )
 def test_no_signals_but_two_deliberate_interrupts_leave_torque_on(signals, code):
-    said, complained, left = run(
+    stdout, stderr, exit_code = run(
         f"""
         def send():
             for step in {signals!r}[1:]:
@@ -188,13 +188,13 @@ def test_no_signals_but_two_deliberate_interrupts_leave_torque_on(signals, code)
             report()
         """
     )
-    assert said == ["torque", "off", "down"], complained
-    assert left in {code, -signal.SIGINT if code == 130 else code}
-    assert "torque OFF" in complained
+    assert stdout == ["torque", "off", "down"], stderr
+    assert exit_code in {code, -signal.SIGINT if code == 130 else code}
+    assert "torque OFF" in stderr
 
 
 def test_a_second_interrupt_reports_the_state_and_the_next_step():
-    said, complained, code = run("""
+    stdout, stderr, code = run("""
         try:
             with connect():
                 once(lambda: (time.sleep(1.0), kill("SIGINT")))
@@ -206,8 +206,8 @@ def test_a_second_interrupt_reports_the_state_and_the_next_step():
             arm.clock.wait_until(arm.clock.now() + 2.0)
             print(np.abs(plant.read().q - q).max() < 0.02)
     """)
-    assert said == ["torque", "on", "up", "True"], complained
-    first, second = [line for line in complained.splitlines() if line.startswith("pliant: ")]
+    assert stdout == ["torque", "on", "up", "True"], stderr
+    first, second = [line for line in stderr.splitlines() if line.startswith("pliant: ")]
     assert "is being lowered (Ctrl-C). Ctrl-C again leaves at once, torque ON" in first
     assert "torque ON: shoulder_lift" in second
     assert "carry it" in second
@@ -217,7 +217,7 @@ def test_a_second_interrupt_reports_the_state_and_the_next_step():
 
 
 def test_a_third_interrupt_leaves_a_bus_that_hangs():
-    said, complained, code = run("""
+    stdout, stderr, code = run("""
         def press():
             for _ in range(3):
                 time.sleep(1.3)
@@ -230,13 +230,13 @@ def test_a_third_interrupt_leaves_a_bus_that_hangs():
         finally:
             report()
     """)
-    assert said == ["torque", "on", "up"], complained
-    assert "was not lowered (SystemExit: 130): torque is ON in shoulder_pan" in complained
+    assert stdout == ["torque", "on", "up"], stderr
+    assert "was not lowered (SystemExit: 130): torque is ON in shoulder_pan" in stderr
     assert code == 130
 
 
-def test_an_interrupt_is_neither_buried_nor_swallowed():
-    said, complained, code = run("""
+def test_an_interrupt_during_the_descent_is_raised_after_it():
+    stdout, stderr, code = run("""
         def step():
             with connect() as arm:
                 arm.drive.read, read = lambda: (kill("SIGINT"), read())[1], arm.drive.read
@@ -247,8 +247,8 @@ def test_an_interrupt_is_neither_buried_nor_swallowed():
         finally:
             report()
     """)
-    assert said == ["torque", "off", "down"]
-    lines = complained.splitlines()
+    assert stdout == ["torque", "off", "down"]
+    lines = stderr.splitlines()
     trace = lines[lines.index("Traceback (most recent call last):") :]
     assert not any("signals.py" in line or "loop.py" in line for line in trace)
     assert trace[-2:] == ["KeyboardInterrupt", next(s for s in lines if "torque OFF" in s)]
@@ -256,7 +256,7 @@ def test_an_interrupt_is_neither_buried_nor_swallowed():
 
 
 def test_endings_are_logged_where_the_program_configures_logging():
-    said, complained, _ = run("""
+    stdout, stderr, _ = run("""
         import logging
         class Lines(logging.Handler):
             def emit(self, record):
@@ -268,12 +268,12 @@ def test_endings_are_logged_where_the_program_configures_logging():
         except KeyError as error:
             print(len(error.__notes__), flush=True)
     """)
-    assert said == ["WARNING", "pliant.arm", "True"] * 2 + ["1"]
-    assert complained == ""
+    assert stdout == ["WARNING", "pliant.arm", "True"] * 2 + ["1"]
+    assert stderr == ""
 
 
 @pytest.mark.parametrize(
-    ("silence", "spoken"),
+    ("silence", "is_printed"),
     [
         ("", True),
         ("logging.getLogger('pliant').addHandler(logging.NullHandler())", False),
@@ -281,8 +281,8 @@ def test_endings_are_logged_where_the_program_configures_logging():
         ("logging.disable(logging.CRITICAL)", False),
     ],
 )
-def test_silence_is_had_by_the_means_of_logging(silence, spoken):
-    said, complained, _ = run(f"""
+def test_silence_is_had_by_the_means_of_logging(silence, is_printed):
+    stdout, stderr, _ = run(f"""
         import logging
         {silence}
         with connect():
@@ -294,16 +294,16 @@ def test_silence_is_had_by_the_means_of_logging(silence, spoken):
         except KeyError:
             report()
     """)
-    assert said == ["quiet", "torque", "off", "down"]
-    lines = complained.splitlines()
-    if spoken:
+    assert stdout == ["quiet", "torque", "off", "down"]
+    lines = stderr.splitlines()
+    if is_printed:
         assert len(lines) == 2
         assert "lowered (KeyError: 'policy')" in lines[0]
     else:
         assert not lines
 
 
-def test_what_breaks_on_the_way_down_leaves_the_arm_carried(make, grasp, monkeypatch, caplog):
+def test_an_error_during_the_descent_leaves_torque_on(make, grasp, monkeypatch, caplog):
     def fail(*_, **__):
         raise ZeroDivisionError("a bug")
 
@@ -330,7 +330,7 @@ def test_progress_never_disturbs_a_descent(make, monkeypatch):
 
 def test_a_blocked_reader_is_waited_for_once():
     with reader("blocked") as stderr:
-        said, _, _ = run(
+        stdout, _, _ = run(
             """
             from pliant.arm._messages import MESSAGES
             MESSAGES.start()
@@ -341,14 +341,14 @@ def test_a_blocked_reader_is_waited_for_once():
             """,
             stderr,
         )
-    assert said == ["False"]
+    assert stdout == ["False"]
 
 
 def test_a_message_of_a_process_without_the_thread_counts_as_written():
     assert MessageQueue().post("nothing is started").is_written
 
 
-def test_progress_comes_seldom_where_it_cannot_be_overwritten(capfd, monkeypatch):
+def test_progress_is_rare_on_a_stream_that_is_not_a_terminal(capfd, monkeypatch):
     monkeypatch.setattr(LOGGER, "hasHandlers", lambda: False)
     monkeypatch.setattr(sys, "stderr", sys.__stderr__)
     messages = MessageQueue()

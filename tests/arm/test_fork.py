@@ -61,17 +61,17 @@ def run(action):
     ],
 )
 def test_a_child_that_ends_sends_nothing_and_the_arm_goes_on(action, code):
-    done = run(action)
-    said = done.stdout.splitlines()
-    assert done.returncode == 0, done.stderr
+    result = run(action)
+    lines = result.stdout.splitlines()
+    assert result.returncode == 0, result.stderr
     if code != -signal.SIGTERM:  # which ends the child before it can print
-        assert said.pop(0) == "child 0", done.stderr
-    assert said[:2] == [f"{code} True", "False False"], done.stderr
-    assert said[2].startswith("parent ")
+        assert lines.pop(0) == "child 0", result.stderr
+    assert lines[:2] == [f"{code} True", "False False"], result.stderr
+    assert lines[2].startswith("parent ")
 
 
 def test_a_child_that_uses_the_arm_gets_an_error_with_the_owner():
-    done = run("""
+    result = run("""
 uses = [arm.read, arm.gripper.open, arm.leave_enabled, arm.disable_torque, arm.enable]
 uses.append(lambda: arm.write([0.0] * 5))
 for use in uses:
@@ -83,4 +83,4 @@ for use in uses:
         raise AssertionError(use)
 sys.exit(0)
 """)
-    assert done.stdout.splitlines()[:3] == ["child 0", "0 True", "False False"], done.stderr
+    assert result.stdout.splitlines()[:3] == ["child 0", "0 True", "False False"], result.stderr

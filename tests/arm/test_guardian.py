@@ -47,18 +47,18 @@ CASES = [
 
 @pytest.mark.parametrize(("phase", "ending", "seed"), CASES)
 def test_the_arm_is_lowered_within_its_bounds(phase, ending, seed):
-    found = guardian.run(Case("so101", phase, ending, seed))
-    assert guardian.violations(found) == [], found
-    assert found["had_torque"]
+    outcome = guardian.run(Case("so101", phase, ending, seed))
+    assert guardian.violations(outcome) == [], outcome
+    assert outcome["had_torque"]
     if phase == "running":
-        assert found["lowered"] > 0.02
+        assert outcome["lowered"] > 0.02
     if ending in {"SIGHUP", "exhausted memory"}:
         # Python may still lower the arm itself.
         return
-    assert "was lowered: torque OFF" in found["said"]
+    assert "was lowered: torque OFF" in outcome["said"]
     reason = {"SIGSTOP": "was stopped for", "held lock": "was silent for"}
-    assert f"the program {reason.get(ending, 'has ended')}" in found["said"]
-    assert found["code"] < 0
+    assert f"the program {reason.get(ending, 'has ended')}" in outcome["said"]
+    assert outcome["code"] < 0
 
 
 #: Pose of `so101` close above its rest pose [rad].
@@ -95,26 +95,26 @@ def bus():
 @pytest.fixture
 def begin(bus, tmp_path):
     """Start a program on the bus with this code, and return it with the id of its guardian."""
-    file, begun = tmp_path / "arm.toml", ExitStack()
+    file, stack = tmp_path / "arm.toml", ExitStack()
     file.write_text(CONFIGURATION)
 
     def start(action, **options):
-        words = "".join(f", {name}={value!r}" for name, value in options.items())
-        code = PROGRAM.format(file=str(file), port=bus.port, options=words, action="{}")
+        options_text = "".join(f", {name}={value!r}" for name, value in options.items())
+        code = PROGRAM.format(file=str(file), port=bus.port, options=options_text, action="{}")
         text = code.replace("{}", textwrap.dedent(action))
         program = programs.Program("-c", text, stdout=programs.PIPE, stderr=programs.PIPE)
-        begun.enter_context(program)
-        begun.callback(program.kill)
+        stack.enter_context(program)
+        stack.callback(program.kill)
         line = program.stdout.readline().strip()
         return program, int(line) if line.isdigit() else line
 
-    with begun:
+    with stack:
         yield start
 
 
-def wait_for(pid, within=60.0):
+def wait_for(pid, timeout=60.0):
     """Wait for the end of a process; return True if it has ended."""
-    deadline = time.monotonic() + within
+    deadline = time.monotonic() + timeout
     while is_running(pid) and time.monotonic() < deadline:
         time.sleep(0.02)
     return not is_running(pid)
@@ -122,11 +122,11 @@ def wait_for(pid, within=60.0):
 
 def test_a_program_that_lowers_its_arm_leaves_nothing_behind(bus, begin):
     program, pid = begin("arm.close()\nprint('closed', flush=True)")
-    said, complained = program.communicate()
-    assert said.split() == ["closed"], complained
+    stdout, stderr = program.communicate()
+    assert stdout.split() == ["closed"], stderr
     assert not is_running(pid)
     assert not bus.call("recorder.has_torque")
-    assert "guardian" not in complained
+    assert "guardian" not in stderr
 
 
 def test_a_program_without_standard_streams_has_a_guardian(bus, tmp_path):
@@ -142,8 +142,8 @@ except pliant.PliantError as error:
 pathlib.Path({str(result)!r}).write_text(text)
 """
     shell = ("/bin/sh", "-c", 'exec "$@" <&- >&- 2>&-', "sh")
-    ended = subprocess.run([*shell, sys.executable, "-c", code], timeout=100, check=False)
-    assert (ended.returncode, result.read_text()) == (0, "True True")
+    process = subprocess.run([*shell, sys.executable, "-c", code], timeout=100, check=False)
+    assert (process.returncode, result.read_text()) == (0, "True True")
     assert not bus.call("recorder.has_torque")
 
 
@@ -164,10 +164,10 @@ def test_on_exit_holds_for_the_guardian_too(bus, begin):
     program, pid = begin(HOLD, on_exit="leave_enabled")
     assert program.stdout.readline() == "holds\n"
     program.kill()
-    _, complained = program.communicate()
+    _, stderr = program.communicate()
     assert wait_for(pid)
     assert bus.call("recorder.has_torque")
-    assert "stays where it is, torque ON" in complained
+    assert "stays where it is, torque ON" in stderr
 
 
 def test_a_second_program_gets_an_error_and_the_first_goes_on(bus, begin):
@@ -177,8 +177,8 @@ def test_a_second_program_gets_an_error_and_the_first_goes_on(bus, begin):
     assert second.wait() == 3
     assert is_running(pid)
     first.send_signal(signal.SIGTERM)
-    _, complained = first.communicate()
-    assert "was lowered: torque OFF" in complained
+    _, stderr = first.communicate()
+    assert "was lowered: torque OFF" in stderr
     assert wait_for(pid)
 
 
@@ -236,8 +236,8 @@ def test_a_program_that_closes_all_its_files_loses_the_arm(bus, begin):
 def test_a_guardian_that_was_killed_is_reported_and_changes_nothing(bus, begin):
     program, pid = begin(f"{HOLD.rstrip()}\n    if tick.index == 50:\n        break\narm.close()\n")
     os.kill(pid, signal.SIGKILL)
-    _, complained = program.communicate()
-    assert "the guardian of the arm has ended before the program" in complained
+    _, stderr = program.communicate()
+    assert "the guardian of the arm has ended before the program" in stderr
     assert not bus.call("recorder.has_torque")
 
 
@@ -331,9 +331,9 @@ def test_a_tick_makes_no_more_calls_and_requests_with_a_guardian():
             arm.close()
     # Compare minimum and first quartile: cycles make different requests, and have retries on a
     # busy machine.
-    for counted in (calls, requests):
-        assert min(counted[True]) == min(counted[False])
-        quartiles = {has_guardian: sorted(counted[has_guardian])[15] for has_guardian in counted}
+    for counts in (calls, requests):
+        assert min(counts[True]) == min(counts[False])
+        quartiles = {has_guardian: sorted(counts[has_guardian])[15] for has_guardian in counts}
         assert quartiles[True] == quartiles[False]
 
 
@@ -372,9 +372,9 @@ def test_registers_and_zeros_are_those_of_the_ended_program_on_two_ports(monkeyp
         assert copy.enabled.all()
         assert np.flatnonzero(copy.torque_unknown).tolist() == [2]
         others = [0, 1, 3, 4]
-        found = [emulated.servo(joint + 1).get("goal_position") for joint in others]
+        positions = [emulated.servo(joint + 1).get("goal_position") for joint in others]
         goal_registers = copy._codec.encode(others, np.nan_to_num(goals), [0.5] * 5, None, 0.0)[0]
-        assert goal_registers == found
+        assert goal_registers == positions
         assert limits[others] == pytest.approx(0.5, abs=0.02)
         copy.write(np.nan_to_num(goals) + 0.01, [0.5] * 5)
         emulated.sync()
@@ -395,7 +395,7 @@ def test_the_guardian_of_a_half_enabled_arm_switches_no_torque_on(powered):
         program.open()
         copy = pickle.loads(pickle.dumps(program.drive.closed_copy()))
         program.close()
-        found = [servo.get("torque_limit") for servo in emulated.servos]
+        limits = [servo.get("torque_limit") for servo in emulated.servos]
         for servo in emulated.servos:
             servo.put("torque_limit", 300)
             servo.put("goal_position", servo.position)
@@ -404,10 +404,10 @@ def test_the_guardian_of_a_half_enabled_arm_switches_no_torque_on(powered):
         arm = pliant.Arm(program.model, copy, guardian=False, handle_signals=False)
         arm._resume("the program has ended")
         assert not any(servo.get("torque_enable") for servo in emulated.servos)
-        assert [servo.get("torque_limit") for servo in emulated.servos] == found
+        assert [servo.get("torque_limit") for servo in emulated.servos] == limits
         assert not any(w.values["torque_enable"] for w in emulated.log.writes("torque_enable"))
-        driven = {write.id for write in emulated.log.writes("goal_position")}
-        assert driven == {servo.id for servo in emulated.servos[:powered]}
+        ids = {write.id for write in emulated.log.writes("goal_position")}
+        assert ids == {servo.id for servo in emulated.servos[:powered]}
         assert not arm.enabled
         arm.close()
 

@@ -14,13 +14,18 @@ from pliant import config
 from pliant.sim import ForceProfile, Push
 from pliant.teleop import JointFollower
 
-READY = {"so101": (0.0, -0.3, 0.3, 0.9, 0.0), "koch": (0.0, -0.4, 0.8, 0.5, 0.0)}
+START_POSES = {"so101": (0.0, -0.3, 0.3, 0.9, 0.0), "koch": (0.0, -0.4, 0.8, 0.5, 0.0)}
 FPS, FREQUENCY = 30, 0.5  # [Hz]
 
 
 def connect(name, **options):
     return pliant.connect(
-        name, backend="sim", q=READY[name], handle_signals=False, on_exit="leave_enabled", **options
+        name,
+        backend="sim",
+        q=START_POSES[name],
+        handle_signals=False,
+        on_exit="leave_enabled",
+        **options,
     )
 
 
@@ -29,7 +34,7 @@ def follow(name, joint, amplitude, *, max_force=4.0, **options):
 
     The largest motion of the other joints [rad] is returned too.
     """
-    times, places = [], []
+    times, positions = [], []
     with connect(name, table=False, **options) as arm:
         follower = JointFollower(arm.model, arm.servos, max_force=max_force)
         start = arm.read().q.copy()
@@ -39,14 +44,14 @@ def follow(name, joint, amplitude, *, max_force=4.0, **options):
             target[joint] += amplitude * math.sin(2 * math.pi * FREQUENCY * step)
             tick.step(target)
             times.append(tick.time)
-            places.append(tick.q - start)
-    late = np.array(times) > 4.0
-    phase = 2 * math.pi * FREQUENCY * np.array(times)[late]
-    moved = np.array(places)[late]
+            positions.append(tick.q - start)
+    is_settled = np.array(times) > 4.0
+    phase = 2 * math.pi * FREQUENCY * np.array(times)[is_settled]
+    motions = np.array(positions)[is_settled]
     waves = np.stack([np.sin(phase), np.cos(phase), np.ones(phase.size)], axis=1)
-    (sine, cosine, _), *_ = np.linalg.lstsq(waves, moved[:, joint], rcond=None)
+    (sine, cosine, _), *_ = np.linalg.lstsq(waves, motions[:, joint], rcond=None)
     lag = -math.atan2(cosine, sine) / (2 * math.pi * FREQUENCY)
-    others = np.abs(np.delete(moved, joint, axis=1)).max()
+    others = np.abs(np.delete(motions, joint, axis=1)).max()
     return lag, math.hypot(sine, cosine) / amplitude, others
 
 
@@ -65,13 +70,13 @@ def test_a_follower_lags_by_less_than_70_ms(name, joint):
 def test_a_wrong_stiffness_costs_lag_and_sag_only(kp):
     with Mismatch(plant=Parameters(kp=kp), assumed=Parameters()):
         lag, gain, others = follow("so101", 1, math.radians(25.0), kp_scale=kp)
-    right, _, _ = follow("so101", 1, math.radians(25.0))
-    assert (lag > right) == (kp < 1.0)
+    reference_lag, _, _ = follow("so101", 1, math.radians(25.0))
+    assert (lag > reference_lag) == (kp < 1.0)
     assert 0.85 < gain < 1.15
     assert others < math.radians(6.0)  # the wrong stiffness makes the arm sag
 
 
-def pushed(axis, force, max_force):
+def push_tool(axis, force, max_force):
     """Push the tool for 1.5 s; return its motion.
 
     Returns:
@@ -85,13 +90,13 @@ def pushed(axis, force, max_force):
         plant.set_hands([Push(force_vector=tuple(push), course=course)])
         follower = JointFollower(model, arm.servos, max_force=max_force)
         start = arm.read().q.copy()
-        place = [np.asarray(model.forward_kinematics(start))[:3, 3]]
+        position = [np.asarray(model.forward_kinematics(start))[:3, 3]]
         for tick in pliant.Loop(arm, follower, rate=100.0, duration=5.0):
             tick.step(start)
-            place.append(np.asarray(model.forward_kinematics(tick.q))[:3, 3])
-    away = np.abs(np.array(place) - place[0])[:, axis]
-    speed = np.linalg.norm(np.diff(place[230:], axis=0), axis=1).max() * 100.0
-    return away.max(), away[-1], speed
+            position.append(np.asarray(model.forward_kinematics(tick.q))[:3, 3])
+    displacement = np.abs(np.array(position) - position[0])[:, axis]
+    speed = np.linalg.norm(np.diff(position[230:], axis=0), axis=1).max() * 100.0
+    return displacement.max(), displacement[-1], speed
 
 
 @pytest.mark.slow
@@ -99,45 +104,45 @@ def pushed(axis, force, max_force):
 def test_a_push_above_the_force_and_friction_moves_the_arm(axis):
     """The arm resists a push below `max_force`, yields to a larger one, and returns slowly."""
     force = 2.0
-    stiff, _, _ = pushed(axis, 0.8 * force, math.inf)
-    resisted, _, _ = pushed(axis, 0.8 * force, force)
-    yielded, left, speed = pushed(axis, 3.0 * force, force)
-    stiff_yielded, _, _ = pushed(axis, 3.0 * force, math.inf)
-    assert resisted < 1.2 * stiff + 0.002
-    assert yielded > 1.5 * stiff_yielded
-    assert left < 0.01
+    stiff, _, _ = push_tool(axis, 0.8 * force, math.inf)
+    small, _, _ = push_tool(axis, 0.8 * force, force)
+    largest, final, speed = push_tool(axis, 3.0 * force, force)
+    stiff_yielded, _, _ = push_tool(axis, 3.0 * force, math.inf)
+    assert small < 1.2 * stiff + 0.002
+    assert largest > 1.5 * stiff_yielded
+    assert final < 0.01
     assert speed < 1.2 * 0.6 + 0.02
 
 
 @pytest.mark.slow
 def test_a_target_inside_the_table_is_pressed_with_the_force():
     """Compare a follower with `max_force` and one without a limit, with equal joint targets."""
-    held = {}
+    contact_forces = {}
     for max_force in (2.0, math.inf):
         with connect("so101", table=0.0) as arm:
             model = arm.model
             follower = JointFollower(model, arm.servos, max_force=max_force)
             start = arm.read().q.copy()
-            inside = start.copy()
+            q = start.copy()
             for _ in range(400):
-                here = np.asarray(model.forward_kinematics(inside))[:3, 3]
-                rows = np.asarray(model.jacobian(inside))[:3]
-                error = np.array([0.0, 0.0, -0.05 - here[2]])
-                inside += 0.2 * rows.T @ np.linalg.solve(rows @ rows.T + 1e-4 * np.eye(3), error)
+                position = np.asarray(model.forward_kinematics(q))[:3, 3]
+                rows = np.asarray(model.jacobian(q))[:3]
+                error = np.array([0.0, 0.0, -0.05 - position[2]])
+                q += 0.2 * rows.T @ np.linalg.solve(rows @ rows.T + 1e-4 * np.eye(3), error)
             forces = []
             for tick in pliant.Loop(arm, follower, rate=100.0, duration=4.0):
-                tick.step(start + (inside - start) * min(1.0, tick.time / 1.5))
+                tick.step(start + (q - start) * min(1.0, tick.time / 1.5))
                 forces.append(arm.drive.plant.fixtures[0].force)
-            held[max_force] = np.median(forces[-100:])
-    assert 1.0 < held[2.0] < 2.0 + 1.5  # gear friction adds to the limit
-    assert held[math.inf] > 1.5 * held[2.0]
+            contact_forces[max_force] = np.median(forces[-100:])
+    assert 1.0 < contact_forces[2.0] < 2.0 + 1.5  # gear friction adds to the limit
+    assert contact_forces[math.inf] > 1.5 * contact_forces[2.0]
 
 
 def test_arguments_are_checked():
     model = config.load("so101").model()
-    for wrong in (-1.0, [1.0, 2.0, math.nan]):
+    for value in (-1.0, [1.0, 2.0, math.nan]):
         with pytest.raises(pliant.OutOfRangeError, match="max_force"):
-            JointFollower(model, max_force=wrong)
+            JointFollower(model, max_force=value)
     with pytest.raises(pliant.ShapeError, match="max_force"):
         JointFollower(model, max_force=[1.0, 2.0])
     with pytest.raises(pliant.OutOfRangeError, match="max_tool_speed"):

@@ -28,11 +28,11 @@ from pliant.sim import Plant, SimDrive
 
 HANDLED = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
 NUMBERS = [getattr(signal, name) for name in HANDLED if hasattr(signal, name)]
-#: Times between two signals [s] that count as one request (`REPEATED`) or as two (`DELIBERATE`).
-REPEATED, DELIBERATE = 0.1, 2.0
+#: Times between two signals [s] that count as one request, and as two.
+REPEAT_GAP, DELIBERATE_GAP = 0.1, 2.0
 LOW = np.array([0.0, 1.5, 0.0, 0.0, 0.0])
 #: Number of loop iterations of the stand-in for a descent in these tests.
-TURNS = 12
+ITERATIONS = 12
 
 
 def expected(number):
@@ -64,18 +64,18 @@ class Life(RuleBasedStateMachine):
             signal.signal(number, handler)
         self.patch.undo()
 
-    @initialize(two=st.booleans())
-    def make(self, two):
+    @initialize(has_second=st.booleans())
+    def make(self, has_second):
         self.arms = []
-        for _ in range(1 + two):
+        for _ in range(1 + has_second):
             plant = Plant(pliant.robots.koch(), dt=0.005)
             plant.reset(LOW)
             self.arms.append(pliant.arm.Arm(plant.model, SimDrive(plant)))
         self.on = [False] * len(self.arms)
 
-    def descend(self, io, rest, rate, is_aborted, **_):
-        """Replace a descent by a wait of `TURNS` iterations, in which signals arrive."""
-        for _ in range(TURNS):
+    def descend(self, io, rest_q, rate, is_aborted, **_):
+        """Replace a descent by a wait of `ITERATIONS` iterations, in which signals arrive."""
+        for _ in range(ITERATIONS):
             if self.during:
                 number, gap = self.during.pop(0)
                 self.wait(gap)
@@ -110,18 +110,19 @@ class Life(RuleBasedStateMachine):
     @rule(
         data=st.data(),
         park=st.booleans(),
-        come=st.lists(
-            st.tuples(st.sampled_from(NUMBERS), st.sampled_from([REPEATED, DELIBERATE])), max_size=4
+        arrivals=st.lists(
+            st.tuples(st.sampled_from(NUMBERS), st.sampled_from([REPEAT_GAP, DELIBERATE_GAP])),
+            max_size=4,
         ),
     )
-    def lower(self, data, park, come):
+    def lower(self, data, park, arrivals):
         index = self.which(data)
         arm = self.arms[index]
-        self.during = list(come)
+        self.during = list(arrivals)
         if self.on[index]:
-            kind, stopped = self.foresee(come)
+            kind, is_stopped = self.foresee(arrivals)
         else:
-            kind, stopped, self.during = None, False, []
+            kind, is_stopped, self.during = None, False, []
         drive_on = arm.drive.enabled.any()
 
         def run():
@@ -133,40 +134,40 @@ class Life(RuleBasedStateMachine):
             with pytest.raises(kind):
                 run()
         if self.on[index]:
-            assert arm.drive.enabled.any() == stopped
+            assert arm.drive.enabled.any() == is_stopped
         else:
             assert arm.drive.enabled.any() == drive_on
         self.on[index] = False
         self.during = []
 
-    def foresee(self, come):
+    def foresee(self, arrivals):
         """Predict the result of a descent in which signals come: exception, torque on or off."""
         time, last, interrupts, kind = self.time, self.last, 0, None
-        for number, gap in come:
+        for number, gap in arrivals:
             time += gap
-            repeated = last[0] == number and time - last[1] < 0.5
+            is_repeat = last[0] == number and time - last[1] < 0.5
             last = (number, time)
             if number != signal.SIGINT:
                 kind = SystemExit
             elif interrupts == 0:
                 interrupts, kind = 1, kind or KeyboardInterrupt
-            elif not repeated:
+            elif not is_repeat:
                 self.last = last
                 return SystemExit, True
         self.last = last
         return kind, False
 
-    @rule(number=st.sampled_from(NUMBERS), gap=st.sampled_from([REPEATED, DELIBERATE]))
+    @rule(number=st.sampled_from(NUMBERS), gap=st.sampled_from([REPEAT_GAP, DELIBERATE_GAP]))
     def signal(self, number, gap):
         self.wait(gap)
-        repeated = self.last[0] == number and self.time - self.last[1] < 0.5
+        is_repeat = self.last[0] == number and self.time - self.last[1] < 0.5
         if not any(self.on):
-            heard = len(self.heard)
+            count = len(self.heard)
             signal.raise_signal(number)
-            assert len(self.heard) == heard + 1
+            assert len(self.heard) == count + 1
         else:
             self.last = (number, self.time)
-            if repeated:
+            if is_repeat:
                 signal.raise_signal(number)
             else:
                 with pytest.raises(expected(number)):
@@ -181,7 +182,7 @@ class Life(RuleBasedStateMachine):
 
         def run():
             with first, second:
-                self.time += DELIBERATE
+                self.time += DELIBERATE_GAP
                 signal.raise_signal(number)
 
         with pytest.raises(expected(number)):
@@ -224,16 +225,16 @@ def test_a_signal_does_the_same_in_every_life(examples):
 
 
 def test_a_handler_that_a_program_puts_back_later_acts_as_the_former_one():
-    heard = []
-    before = signal.signal(signal.SIGTERM, lambda *_: heard.append("former"))
+    calls = []
+    before = signal.signal(signal.SIGTERM, lambda *_: calls.append("former"))
     try:
         arm = bare_arm("koch", q=LOW)
         arm.enable()
-        ours = signal.signal(signal.SIGTERM, lambda *_: heard.append("program"))
+        previous = signal.signal(signal.SIGTERM, lambda *_: calls.append("program"))
         arm.leave_enabled()
         signal.raise_signal(signal.SIGTERM)
-        signal.signal(signal.SIGTERM, ours)
+        signal.signal(signal.SIGTERM, previous)
         signal.raise_signal(signal.SIGTERM)
     finally:
         signal.signal(signal.SIGTERM, before)
-    assert heard == ["program", "former"]
+    assert calls == ["program", "former"]

@@ -30,8 +30,8 @@ def test_a_tick_per_period_with_its_time_and_delay(running):
     for tick in loop:
         tick.write(controller.step(tick.q, target, dt=tick.dt))
         times.append((tick.time, tick.dt, tick.index))
-    when, dt, index = np.array(times).T
-    assert np.diff(when) == pytest.approx(0.01)
+    tick_times, dt, index = np.array(times).T
+    assert np.diff(tick_times) == pytest.approx(0.01)
     assert dt == pytest.approx(0.01)
     assert list(index) == list(range(100))
     assert loop.delay == pytest.approx(0.02)
@@ -51,13 +51,13 @@ def test_the_first_goal_carries_the_weight(running):
 def test_deadlines_that_were_missed_are_skipped_not_caught_up(running):
     arm, controller, target = running
     loop = pliant.Loop(arm, controller, duration=0.5)
-    when = []
+    tick_times = []
     for tick in loop:
         if tick.index == 10:
             arm.clock.wait_until(arm.clock.now() + 0.034)
         tick.write(controller.step(tick.q, target, dt=tick.dt))
-        when.append(tick.time)
-    gaps = np.diff(when)
+        tick_times.append(tick.time)
+    gaps = np.diff(tick_times)
     assert loop.missed == 3
     assert gaps.max() == pytest.approx(0.04)
     assert np.sort(gaps)[:-1] == pytest.approx(0.01)
@@ -70,9 +70,9 @@ def test_a_command_from_old_positions_is_not_sent(running):
         command = controller.step(tick.q, target, dt=tick.dt)
         if tick.index == 10:
             arm.clock.wait_until(arm.clock.now() + 0.3)
-            sent = len(arm.drive.diary)
+            count = len(arm.drive.diary)
             assert not tick.write(command)
-            assert len(arm.drive.diary) == sent
+            assert len(arm.drive.diary) == count
             tick.skip()
         else:
             assert tick.write(command)
@@ -112,10 +112,10 @@ def test_a_loop_needs_torque_and_a_rate_that_fits(make):
 def test_a_loop_names_wrong_arguments(make):
     with pytest.raises(TypeError, match=r"arm must be an Arm, .*got None \(NoneType\)"):
         pliant.Loop(None, None, rate=0.0)
-    for wrong, said in ((-1.0, "must be 0 s or more"), ("2", "must be a number, got '2'")):
+    for value, message in ((-1.0, "must be 0 s or more"), ("2", "must be a number, got '2'")):
         for name in ("duration", "max_step_time"):
-            with pytest.raises(pliant.ConfigError, match=f"{name} {said}"):
-                pliant.Loop(make(), **{name: wrong})
+            with pytest.raises(pliant.ConfigError, match=f"{name} {message}"):
+                pliant.Loop(make(), **{name: value})
 
 
 def test_leaving_the_loop_lowers(make):
@@ -149,16 +149,16 @@ def test_other_threads_run_while_the_loop_waits():
 
 
 def test_lateness_is_bounded_and_right_within_a_bin():
-    late = LatenessHistogram()
-    size = late.counts.nbytes
+    histogram = LatenessHistogram()
+    size = histogram.counts.nbytes
     for value in np.linspace(0.0, 1e-3, 10_001):
-        late.add(value)
-    late.add(100.0)
-    late.add(-1.0)
-    assert late.counts.nbytes == size
-    assert late.percentile(50.0) == pytest.approx(0.5e-3, rel=0.13)
-    assert late.percentile(99.0) == pytest.approx(0.99e-3, rel=0.13)
-    assert late.percentile(100.0) == late.largest == 100.0
+        histogram.add(value)
+    histogram.add(100.0)
+    histogram.add(-1.0)
+    assert histogram.counts.nbytes == size
+    assert histogram.percentile(50.0) == pytest.approx(0.5e-3, rel=0.13)
+    assert histogram.percentile(99.0) == pytest.approx(0.99e-3, rel=0.13)
+    assert histogram.percentile(100.0) == histogram.largest == 100.0
     assert LatenessHistogram().percentile(50.0) == 0.0
 
 
@@ -190,11 +190,11 @@ SHORT = {
 def test_nothing_that_goes_wrong_drops_the_arm(title):
     case = next(m for m in FAULT_CASES if m.title == title)
     outcome, meanwhile, descent = EXPECTED[title]
-    got = run_fault(case)
-    assert got.outcome == outcome, got.reason
-    assert got.speed < meanwhile
-    assert got.drop < 1e-3
-    assert got.descent < descent
+    result = run_fault(case)
+    assert result.outcome == outcome, result.reason
+    assert result.speed < meanwhile
+    assert result.drop < 1e-3
+    assert result.descent < descent
 
 
 def test_a_target_that_jumps_pushes_a_hand_with_what_its_axes_may(grasp):
@@ -203,11 +203,13 @@ def test_a_target_that_jumps_pushes_a_hand_with_what_its_axes_may(grasp):
     controller.step(grasp, model.forward_kinematics(grasp))
     lever = np.linalg.pinv(model.jacobian(grasp))[:, :3]
     gears = np.abs(lever).T @ np.asarray(model.servos.friction)
-    got = run_fault(next(m for m in FAULT_CASES if m.title.startswith("target jumps")), held=True)
+    outcome = run_fault(
+        next(m for m in FAULT_CASES if m.title.startswith("target jumps")), held=True
+    )
     # x and z are stiff (cap `hold`), y is soft; the force on each stays within 15 % of its cap.
-    most = 1.15 * np.asarray(controller.diagnostics.axis_strength[:3]) + gears
-    assert got.along[0] > 0.9 * controller.diagnostics.axis_strength[0]
-    assert np.all(got.along < most), (got.along, most)
+    largest = 1.15 * np.asarray(controller.diagnostics.axis_strength[:3]) + gears
+    assert outcome.along[0] > 0.9 * controller.diagnostics.axis_strength[0]
+    assert np.all(outcome.along < largest), (outcome.along, largest)
 
 
 def test_lost_readings_do_not_excuse_missing_commands():
@@ -239,19 +241,19 @@ def test_a_real_time_priority_lasts_as_long_as_the_loop(monkeypatch):
             thread.name: os.sched_getscheduler(thread.native_id) for thread in threading.enumerate()
         }
 
-    own = threading.current_thread().name
-    before = policies()[own]
+    name = threading.current_thread().name
+    before = policies()[name]
     with bare_arm(real_time=True, handle_signals=False) as arm:
         loop = pliant.Loop(arm, duration=0.05, realtime_priority=5)
         try:
             for tick in loop:
-                found = policies()
-                assert found[own] == os.SCHED_FIFO
-                assert found["pliant-supervisor"] == os.SCHED_FIFO, "it must interrupt a stall"
+                threads = policies()
+                assert threads[name] == os.SCHED_FIFO
+                assert threads["pliant-supervisor"] == os.SCHED_FIFO, "it must interrupt a stall"
                 tick.skip()
         except pliant.ConfigError as error:
             pytest.skip(f"not permitted here: {error}")
-        assert policies()[own] == before
+        assert policies()[name] == before
 
         def refuse(*_):
             raise PermissionError(1, "Operation not permitted")
@@ -259,7 +261,7 @@ def test_a_real_time_priority_lasts_as_long_as_the_loop(monkeypatch):
         monkeypatch.setattr(os, "sched_setscheduler", refuse)
         with pytest.raises(pliant.ConfigError, match=r"rtprio 5.*leave realtime_priority out"):
             next(iter(loop))
-        for wrong in (0, 100, 5.0, True):
+        for priority in (0, 100, 5.0, True):
             with pytest.raises(pliant.ConfigError, match=r"from 1 to 99, or None, got"):
-                pliant.Loop(arm, realtime_priority=wrong)
+                pliant.Loop(arm, realtime_priority=priority)
         arm.disable_torque()

@@ -22,7 +22,7 @@ from pliant.servo import ServoBus, ServoSpec
 STEP, RPM = 2.0 * np.pi / 4096, 0.229 * np.pi / 30.0
 #: Robot and servo of each family.
 FAMILIES = {"sts": ("so101", "STS3215", "STS3215-7.4V", {}), "x": ("koch", "XL430-W250", None, {})}
-MORE = {
+MORE_FAMILIES = {
     "mx": ("so101", "MX-64", None, {"return_delay_time": 0}),
     "xm": ("koch", "XM430-W350", None, {"operating_mode": 5, "return_delay_time": 0}),
 }
@@ -30,22 +30,22 @@ MORE = {
 
 @contextmanager
 def arm_over_bytes(family, q, clock="steps", plant=None, *, zero=None, patience=0.1, **options):
-    robot, device, model, registers = (FAMILIES | MORE)[family]
+    robot, device, model, registers = (FAMILIES | MORE_FAMILIES)[family]
     chain_model = pliant.robots.load(robot)
     names = [*chain_model.joint_names, "gripper"]
     mounts = [
         Mount(joint=n, model=device, id=k, registers=registers) for k, n in enumerate(names, 1)
     ]
-    held = plant is not None
-    with emulate(chain_model, mounts, q=np.array(q), clock=clock, plant=plant, held=held) as bus:
+    is_held = plant is not None
+    with emulate(chain_model, mounts, q=np.array(q), clock=clock, plant=plant, held=is_held) as bus:
         specs = [
             ServoSpec(name=n, model=model or device, id=k, port=bus.port, zero=(zero or {}).get(n))
             for k, n in enumerate(names, 1)
         ]
-        chain = ServoBus(
+        servo_bus = ServoBus(
             specs, reply_timeout_min=patience, clock=ManualClock(bus) if clock == "steps" else None
         )
-        yield bus, Arm(chain_model, chain, handle_signals=False, **options)
+        yield bus, Arm(chain_model, servo_bus, handle_signals=False, **options)
 
 
 def switches(bus, id):
@@ -53,7 +53,7 @@ def switches(bus, id):
     return [step for step in bus.log.order(id) if step.startswith("torque")]
 
 
-def unknown(load):
+def unknown_load(load):
     """Return the `Mismatch` of an arm whose model lacks a load [kg]."""
     return Mismatch(plant=Parameters(payload=load), assumed=Parameters(), compared=("payload",))
 
@@ -64,8 +64,8 @@ def test_a_joint_whose_zero_is_far_off_gets_no_torque(counts, starts):
     with arm_over_bytes("sts", [0.0] * 5, zero=zero) as (bus, arm):
         if starts:
             arm.enable()
-            off = arm.read().q[2] - bus.plant.q[2]
-            assert off == pytest.approx(-counts * STEP, abs=2 * STEP)
+            error = arm.read().q[2] - bus.plant.q[2]
+            assert error == pytest.approx(-counts * STEP, abs=2 * STEP)
             arm.disable_torque()
         else:
             with pytest.raises(pliant.ServoError, match=r"elbow_flex stands at -2\.3.*by hand"):
@@ -137,8 +137,8 @@ def test_lowered_after_the_program_stalled(family, q):
     assert max(speeds) < 0.18
 
 
-def enabled_with_old_goals(family, lost=0):
-    """Enable an arm whose servos have old goals; request number `lost` does not reach a servo.
+def enabled_with_old_goals(family, lost_request=0):
+    """Enable an arm whose servos have old goals; request number `lost_request` is lost.
 
     Returns:
         Distance moved by the tool [m], and the numbers of the requests that contained goals.
@@ -147,15 +147,15 @@ def enabled_with_old_goals(family, lost=0):
     with arm_over_bytes(family, q, plant={}, patience=0.01) as (bus, arm):
         for servo in bus.servos:
             servo.put("goal_position", servo.position - 500)
-        count, start, ways = 0, bus.plant.tool[:3, 3].copy(), []
+        count, start, distances = 0, bus.plant.tool[:3, 3].copy(), []
 
         def chance():
             nonlocal count
             count += 1
-            return "deaf" if count == lost else None
+            return "deaf" if count == lost_request else None
 
         def watch(_):
-            ways.append(np.linalg.norm(bus.plant.tool[:3, 3] - start))
+            distances.append(np.linalg.norm(bus.plant.tool[:3, 3] - start))
 
         bus.lines["main"].faults.chance = chance
         bus.world.watchers.append(watch)
@@ -167,39 +167,39 @@ def enabled_with_old_goals(family, lost=0):
             for number, transaction in enumerate(bus.log, 1)
             if any("goal_position" in write.values for write in transaction.writes)
         ]
-        return max(ways), goals
+        return max(distances), goals
 
 
-@pytest.mark.parametrize("family", [*FAMILIES, *MORE])
+@pytest.mark.parametrize("family", [*FAMILIES, *MORE_FAMILIES])
 def test_a_lost_packet_of_goals_does_not_let_an_old_goal_move_the_arm(family):
-    way, goals = enabled_with_old_goals(family)
-    assert way < 0.005
+    distance, goals = enabled_with_old_goals(family)
+    assert distance < 0.005
     # If `enable` did not read goals back, the tool would move by up to 40 mm.
-    lost, _ = enabled_with_old_goals(family, goals[0])
-    assert lost < min(way + 0.0005, 0.005)
+    distance_with_loss, _ = enabled_with_old_goals(family, goals[0])
+    assert distance_with_loss < min(distance + 0.0005, 0.005)
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("family", [*FAMILIES, *MORE])
+@pytest.mark.parametrize("family", [*FAMILIES, *MORE_FAMILIES])
 def test_no_lost_packet_of_enabling_lets_an_old_goal_move_the_arm(family):
     _, goals = enabled_with_old_goals(family)
-    for lost in range(goals[0] - 60, goals[1]):
-        way, _ = enabled_with_old_goals(family, lost)
-        assert way < 0.005, lost
+    for request in range(goals[0] - 60, goals[1]):
+        distance, _ = enabled_with_old_goals(family, request)
+        assert distance < 0.005, request
 
 
-@pytest.mark.parametrize("cleared", [True, False])
+@pytest.mark.parametrize("is_cleared", [True, False])
 def test_torque_does_not_go_off_where_servos_refuse_the_way_down(
-    cleared, monkeypatch, capsys, caplog
+    is_cleared, monkeypatch, capsys, caplog
 ):
     """The bus is short-circuited for longer than the watchdog time; then the arm is lowered."""
-    if not cleared:
+    if not is_cleared:
         # Simulate that the servos' watchdogs cannot be cleared.
         monkeypatch.setattr("pliant.servo._port.Port.clear_watchdogs", lambda *_: None)
         monkeypatch.setattr("pliant.servo._port.Port.set_watchdog", lambda *_: [])
     with arm_over_bytes("x", LOW, watchdog=0.1) as (bus, arm):
         arm.enable()
-        if not cleared:
+        if not is_cleared:
             for servo in bus.servos:
                 servo.put("bus_watchdog", 5)
         start = bus.plant.tool[2, 3]
@@ -209,20 +209,20 @@ def test_torque_does_not_go_off_where_servos_refuse_the_way_down(
             arm.clock.wait_until(arm.clock.now() + 0.05)
         assert all(servo.get("bus_watchdog") == -1 for servo in bus.servos)
         bus.short(False)
-        if cleared:
+        if is_cleared:
             arm.lower()
             assert all(switches(bus, k)[-1] == "torque off" for k in range(1, 7))
-            off = [w for w in bus.log.writes("torque_enable") if w.values["torque_enable"] == 0]
+            writes = [w for w in bus.log.writes("torque_enable") if w.values["torque_enable"] == 0]
             goals = [w for w in bus.log.writes("goal_position", refused=False)]
-            assert goals[-1].time < off[0].time
+            assert goals[-1].time < writes[0].time
             arm.clock.wait_until(arm.clock.now() + 0.5)
             assert bus.plant.tool[2, 3] < start - 0.02
         else:
             with pytest.raises(pliant.ServoFaultError, match="do not take the goals"):
                 arm.lower()
-            said = " ".join(capsys.readouterr().err.split()) + caplog.text
-            assert "torque is ON in" in said
-            assert "the bus is gone" not in said
+            stderr = " ".join(capsys.readouterr().err.split()) + caplog.text
+            assert "torque is ON in" in stderr
+            assert "the bus is gone" not in stderr
             assert all(switches(bus, k)[-1] == "torque on" for k in range(1, 7))
         arm.close()
 
@@ -255,7 +255,7 @@ def test_lowered_in_place_of_a_program_that_never_returns():
 def test_an_unknown_load_sinks_and_is_brought_back_slowly():
     q, tools = [0.0, 0.5, 0.2, 0.2, 0.0], []
     with (
-        unknown(0.3),
+        unknown_load(0.3),
         arm_over_bytes("sts", q, plant={"payload": (0.3, (0.0, 0.0, 0.0))}) as (bus, arm),
     ):
 
@@ -278,7 +278,7 @@ def test_an_unknown_load_sinks_and_is_brought_back_slowly():
 def test_what_is_in_the_way_of_a_descent_feels_no_more_than_15_newtons(family, pose):
     # Without the bound on the speed of heavy points, these arms would press with 17.8 and 19.2 N.
     q = bus_lower.poses(family, 6)[pose]
-    with unknown(LOAD):
+    with unknown_load(LOAD):
         run = bus_lower.lower(family, q, load=LOAD, over_table=True)
     assert run.force < 15.0
     assert run.speed < 0.18

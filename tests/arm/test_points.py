@@ -1,4 +1,4 @@
-"""Points along the chain, against the core's own kinematics."""
+"""Points along the chain, compared with the kinematics of the core."""
 
 import numpy as np
 import pytest
@@ -43,9 +43,9 @@ def test_inertia_is_that_of_the_simulated_arm(name):
         plant.reset(np.clip(q, model.lower, model.upper))
         mujoco.mj_forward(plant.mj_model, plant.mj_data)
         mujoco.mj_fullM(plant.mj_model, plant.mj_data, full)
-        own = full[np.ix_(dofs, dofs)]
+        expected = full[np.ix_(dofs, dofs)]
         inertia = points.inertia(plant.q)
-        np.testing.assert_allclose(inertia, own, atol=1e-6 * np.abs(own).max())
+        np.testing.assert_allclose(inertia, expected, atol=1e-6 * np.abs(expected).max())
 
 
 def test_effective_mass_is_what_an_impulse_at_the_point_meets():
@@ -56,6 +56,6 @@ def test_effective_mass_is_what_an_impulse_at_the_point_meets():
     jacobian, inertia = model.jacobian(q)[:3], points.inertia(q)
     speed = points.velocity(q, u)[-1]
     push = speed / np.linalg.norm(speed)
-    gained = jacobian @ np.linalg.solve(inertia, jacobian.T @ push)
-    assert points.effective_mass(q, u)[-1] == pytest.approx(1.0 / (push @ gained), rel=1e-9)
+    velocity = jacobian @ np.linalg.solve(inertia, jacobian.T @ push)
+    assert points.effective_mass(q, u)[-1] == pytest.approx(1.0 / (push @ velocity), rel=1e-9)
     assert points.effective_mass(q, np.zeros(7)).max() == 0.0

@@ -16,7 +16,7 @@ def write_for(arm, limit, seconds=0.5):
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3])
-def test_limits_below_the_weight_are_sent_and_said_once(make, grasp, share):
+def test_limits_below_the_weight_are_sent_with_one_warning(make, grasp, share):
     arm = make()
     weight = np.abs(arm.model.gravity(grasp))
     with arm:
@@ -50,7 +50,7 @@ def test_limits_that_carry_the_weight_and_a_controllers_are_not_warned_of(make, 
 
 
 def test_an_argument_of_another_kind_is_named(make, grasp):
-    for wrong, error, said in (
+    for value, error, message in (
         (lambda: make(power_budget=5), TypeError, r"power_budget must be a Budget.*got 5 \(int\)"),
         (lambda: make(power_budget=0), TypeError, r"power_budget must be a Budget.*got 0 \(int\)"),
         (lambda: make(grippers=5), TypeError, r"grippers must be a mapping, as .*got 5 \(int\)"),
@@ -62,11 +62,11 @@ def test_an_argument_of_another_kind_is_named(make, grasp):
         (lambda: pliant.Loop(make(), 5), TypeError, r"controller must be .*got 5 \(int\)"),
         (lambda: pliant.Loop(make(), recorder=5), TypeError, r"recorder must be .*got 5 \(int\)"),
     ):
-        with pytest.raises(error, match=said):
-            wrong()
+        with pytest.raises(error, match=message):
+            value()
     with make(q=None, robot="so101") as arm:
         q = arm.read().q
-        for arguments, error, said in (
+        for arguments, error, message in (
             ((q, None, 5), TypeError, r"extra must be a mapping, as \{'gripper': .*got 5 \(int\)"),
             ((q, None, 0), TypeError, r"extra must be a mapping, as \{'gripper': .*got 0 \(int\)"),
             (
@@ -89,7 +89,7 @@ def test_an_argument_of_another_kind_is_named(make, grasp):
             ((q, q < 9.0), pliant.ShapeError, "limit must be 5 real numbers"),
         ):
             before = len(arm.drive.diary)
-            with pytest.raises(error, match=said):
+            with pytest.raises(error, match=message):
                 arm.write(*arguments)
             assert len(arm.drive.diary) == before
         for tick in pliant.Loop(arm):
@@ -102,7 +102,7 @@ def test_an_argument_of_another_kind_is_named(make, grasp):
 
 
 @pytest.mark.parametrize(
-    ("option", "value", "said"),
+    ("option", "value", "message"),
     [
         ("comm_timeout", np.inf, "comm_timeout must be above 0 s and at most 60 s, got inf"),
         ("comm_timeout", 1e9, "at most 60 s, got 1e[+]09"),
@@ -113,8 +113,8 @@ def test_an_argument_of_another_kind_is_named(make, grasp):
         ("watchdog", np.inf, "watchdog must be 0 s .*got inf"),
     ],
 )
-def test_times_that_would_keep_an_arm_up_for_ever_are_refused(make, option, value, said):
-    with pytest.raises(pliant.ConfigError, match=said):
+def test_times_that_would_keep_an_arm_up_for_ever_are_refused(make, option, value, message):
+    with pytest.raises(pliant.ConfigError, match=message):
         make(**{option: value})
 
 
@@ -124,12 +124,12 @@ def test_a_controller_of_another_robot_is_refused(make, make_controller):
     settings = (pliant.Settings(task="xyz"),) if make_controller is pliant.Controller else ()
     stranger = pliant.robots.koch()
     assert stranger.joint_names == arm.model.joint_names
-    for model, said in (
+    for model, message in (
         (stranger, "made for koch_like, the arm is so101_like .joint shoulder_pan has another"),
         (pliant.robots.arm7(), "made for .*, the arm is so101_like .joints .*, not shoulder_pan"),
     ):
         controller = make_controller(model, *settings)
-        with pytest.raises(pliant.ConfigError, match=said):
+        with pytest.raises(pliant.ConfigError, match=message):
             pliant.Loop(arm, controller)
 
 
@@ -137,17 +137,17 @@ def test_a_controller_with_another_tip_mass_or_range_is_accepted(make):
     arm = make(q=None, robot="so101")
     text, options = arm.model.source
     low, high = arm.model.lower[0] + 0.1, arm.model.upper[0]
-    for changed, other in (
+    for description, other in (
         (text, {"tip": arm.model.links[5].name}),
         (text, {"payload": pliant.Payload(0.05)}),
         (text, {"limits": {"shoulder_pan": (low, high)}}),
         (text.replace('<mass value="0.', '<mass value="0.1'), {}),
     ):
-        model = pliant.Model.from_urdf_str(changed, **{**options, **other})
+        model = pliant.Model.from_urdf_str(description, **{**options, **other})
         pliant.Loop(arm, pliant.Controller(model, pliant.Settings(task="xyz")))
 
 
 @pytest.mark.parametrize("patience", [np.nan, -1.0, 0.0, "x"])
-def test_a_patience_that_is_no_time_is_refused(make, patience):
+def test_an_invalid_timeout_is_refused(make, patience):
     with pytest.raises(pliant.ConfigError, match=r"patience must be .*, got"):
         make().supervised(patience)

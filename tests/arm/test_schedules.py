@@ -1,7 +1,7 @@
 """Schedules of a program, its watchdog thread, signals, SIGKILL and the guardian.
 
-The code of the arm is real. Threads, locks, clocks and the pipe to the guardian are those of
-`schedules`; servos, the law of the descent and the transfer of weight are stand-ins, which take
+The tested code of the arm is the real one. Threads, locks, clocks and the pipe to the guardian are
+those of `schedules`; servos, the law of the descent and the transfer of weight are stand-ins with
 few steps.
 """
 
@@ -44,9 +44,9 @@ FILES = (
 )
 MODEL = pliant.robots.load("koch")
 SERVOS = pliant.Servos(kp=np.full(MODEL.n, 20.0), max_torque=np.full(MODEL.n, 1.0))
-#: Torque limit that only the program asks for [N·m], and one that only the descent does.
-ASKED, DESCENT = 0.123, 0.05
-#: Height of the arm in periods of the descent.
+#: Torque limit that only the program commands [N·m], and one that only the descent commands.
+PROGRAM_LIMIT, DESCENT_LIMIT = 0.123, 0.05
+#: Duration of a descent [periods].
 HEIGHT = 3
 INT, TERM, HUP = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
 
@@ -59,8 +59,8 @@ class Servos:
         self.on, self.is_descending = False, False
         self.port, self.faults = None, 0
 
-    def check(self, drive, what):
-        """Check that the task has the arm to itself; called before every access."""
+    def check(self, drive, description):
+        """Check before an access that no other task uses the arm."""
         world = self.world
         world.scheduler.retrace()
         world.scheduler.step()
@@ -68,13 +68,13 @@ class Servos:
         if self.port != drive:
             raise pliant.ServoError("the port is closed")
         if lock is not None and lock.owner is not world.scheduler.current:
-            world.fail(f"{what} without the lock of the arm")
+            world.fail(f"{description} without the lock of the arm")
         if self.faults:
             self.faults -= 1
             raise pliant.ServoError("no answer")
 
 
-#: Drives that were pickled, by id: another process opens the same servos.
+#: Pickled drives by id, for the process that opens the same servos.
 COPIES: dict[int, ServoDrive] = {}
 
 
@@ -83,7 +83,7 @@ def take_copy(number):
 
 
 class ServoDrive:
-    """Drive of `Servos`; a copy of it reopens them in the guardian."""
+    """Drive of `Servos`; the guardian reopens them with a copy."""
 
     names = tuple(MODEL.joint_names)
     servos, stiffness_known = SERVOS, np.ones(MODEL.n, dtype=bool)
@@ -119,7 +119,7 @@ class ServoDrive:
             self.hardware.port = None
         self.open()
         value = 0.0 if self.hardware.on else np.nan
-        return np.full(MODEL.n, value), np.full(MODEL.n, abs(value) + DESCENT)
+        return np.full(MODEL.n, value), np.full(MODEL.n, abs(value) + DESCENT_LIMIT)
 
     def drop_ports(self):
         raise AssertionError
@@ -142,9 +142,9 @@ class ServoDrive:
     def write(self, goal, limit, velocity=None):
         hardware = self.hardware
         hardware.check(self, "write")
-        if limit[0] == ASKED and hardware.is_descending:
+        if limit[0] == PROGRAM_LIMIT and hardware.is_descending:
             hardware.world.fail("a command of the program after the descent began")
-        if limit[0] == DESCENT:
+        if limit[0] == DESCENT_LIMIT:
             hardware.height = max(hardware.height - 1, 0)
 
     def disable(self, names):
@@ -156,7 +156,7 @@ class ServoDrive:
 
 
 class Descent:
-    """Stand-in for `Lowering`: `HEIGHT` periods until the arm rests."""
+    """Stand-in for `Lowering`: the arm rests after `HEIGHT` periods."""
 
     blind, phase = False, "down"
     world: World
@@ -168,12 +168,12 @@ class Descent:
     def step(self, q, ok, dt, age):
         if self._hardware.height == 0:
             return None
-        limit = np.full(MODEL.n, DESCENT)
+        limit = np.full(MODEL.n, DESCENT_LIMIT)
         return SimpleNamespace(goal=np.zeros(MODEL.n), torque_limit=limit, speed_limit=None)
 
 
 class Messages:
-    """Stand-in for the queue of messages, which are written at once."""
+    """Stand-in for the message queue that writes each message at once."""
 
     def __init__(self):
         self.texts = []
@@ -187,7 +187,7 @@ class Messages:
         message.is_written = True
         return message
 
-    def flush(self, within=0.0):
+    def flush(self, timeout=0.0):
         pass
 
 
@@ -205,12 +205,12 @@ class Exits:
 
 
 class World:
-    """A program with an arm on a schedule, with a guardian or without.
+    """Program with an arm that runs by a schedule, with or without a guardian.
 
     Args:
-        patch: Where modules get their stand-ins.
-        program: Function ``(world, arm)`` in which the arm is used.
-        guardian: True: a guardian watches.
+        patch: The fixture `monkeypatch`, which puts the stand-ins into modules.
+        program: Function ``(world, arm)`` that uses the arm.
+        guardian: True: a guardian watches the program.
         on_exit: The argument of `Arm`.
     """
 
@@ -251,7 +251,7 @@ class World:
             return "left on", "user"
         if self.has_ended or arm._is_unfinished or hardware.port is None:
             return "not lowered", "guardian"
-        # Between two statements that give the arm to its next owner.
+        # The program is between two statements that hand the arm to its next owner.
         return self.states[-1]
 
     def check(self):
@@ -275,7 +275,7 @@ class World:
         return self.hardware.height == 0 and not self.hardware.on
 
     def is_excused(self):
-        """Return True if only a guardian could have lowered the arm."""
+        """Return True if torque may stay on, because only a guardian could lower the arm."""
         kinds = {kind for kind, _ in self.scheduler.plan.actions.values()}
         is_told = any("was not lowered" in text for text in self.messages.texts)
         return "kill" in kinds or ("call" in kinds and is_told)
@@ -317,7 +317,7 @@ class World:
         return scheduler.steps
 
     def _live(self):
-        """Run the program, then what the interpreter does at its end."""
+        """Run the program, then the exit handlers of the interpreter."""
         with suppress(KeyboardInterrupt, SystemExit, pliant.ServoError):
             self._program(self, self.arm)
         while self.exits.functions:
@@ -330,21 +330,21 @@ class World:
         self.scheduler.step()
 
     def _put_stand_ins(self):
-        put, scheduler = self._patch.setattr, self.scheduler
+        set_attribute, scheduler = self._patch.setattr, self.scheduler
         Descent.world = self
-        put(_supervisor, "threading", scheduler.threading)
-        put(_supervisor, "time", scheduler.time)
-        put(_signals, "time", scheduler.time)
-        put(_shutdown, "time", scheduler.time)
-        put(_shutdown, "Lowering", Descent)
-        put(_guardian_process, "time", scheduler.time)
-        put(_guardian_process, "wait", self._wait)
-        put(_guardian_process, "_is_stopped", lambda _: False)
-        put(arm_module, "atexit", self.exits)
-        put(arm_module, "transfer_weight", self._transfer)
-        put(arm_module, "Guardian", self._make_guardian)
+        set_attribute(_supervisor, "threading", scheduler.threading)
+        set_attribute(_supervisor, "time", scheduler.time)
+        set_attribute(_signals, "time", scheduler.time)
+        set_attribute(_shutdown, "time", scheduler.time)
+        set_attribute(_shutdown, "Lowering", Descent)
+        set_attribute(_guardian_process, "time", scheduler.time)
+        set_attribute(_guardian_process, "wait", self._wait)
+        set_attribute(_guardian_process, "_is_stopped", lambda _: False)
+        set_attribute(arm_module, "atexit", self.exits)
+        set_attribute(arm_module, "transfer_weight", self._transfer)
+        set_attribute(arm_module, "Guardian", self._make_guardian)
         for module in (arm_module, _signals, _shutdown, _guardian, _guardian_process):
-            put(module, "MESSAGES", self.messages)
+            set_attribute(module, "MESSAGES", self.messages)
 
     def _transfer(self, io, *_):
         for _ in range(2):
@@ -353,11 +353,11 @@ class World:
             io.send(io.goal, io.limit)
         return np.full(MODEL.n, np.nan)
 
-    def _wait(self, things, timeout):
+    def _wait(self, objects, timeout):
         scheduler = self.scheduler
 
         def ready():
-            return [t for t in things if (self.has_ended if t == "end" else t.is_ready())]
+            return [t for t in objects if (self.has_ended if t == "end" else t.is_ready())]
 
         scheduler.wait(lambda: bool(ready()), scheduler.now + timeout)
         return ready()
@@ -379,14 +379,14 @@ class World:
 
         class Guard(_guardian.Guardian):
             def __init__(self):
-                self._line, theirs = Pipe.pair(scheduler, "program", "guardian")
+                self._line, guardian_end = Pipe.pair(scheduler, "program", "guardian")
                 heartbeat = memoryview(bytearray(16)).cast("d")
                 program = Program(0, heartbeat)
 
                 def work():
-                    found = _guardian_process.watch(program, theirs)
-                    if found is not None:
-                        _guardian_process.take_over(*found, program)
+                    status = _guardian_process.watch(program, guardian_end)
+                    if status is not None:
+                        _guardian_process.take_over(*status, program)
 
                 self._task = task = scheduler.spawn("guardian", work, "guardian")
                 self._process = SimpleNamespace(
@@ -413,11 +413,11 @@ class World:
 
 
 def command():
-    return SimpleNamespace(goal=np.zeros(MODEL.n), torque_limit=np.full(MODEL.n, ASKED))
+    return SimpleNamespace(goal=np.zeros(MODEL.n), torque_limit=np.full(MODEL.n, PROGRAM_LIMIT))
 
 
 def ticks(world, arm, count, stall):
-    """Run a loop that stalls [s] in its second tick."""
+    """Run a loop that stalls for `stall` [s] in its second tick."""
     for tick in pliant.Loop(arm, rate=20.0, duration=0.05 * count):
         tick.write(command())
         world.ending = world.scheduler.steps
@@ -440,7 +440,7 @@ def calls(world, arm, stall):
 
 
 def again(world, arm, stall):
-    """Catch Ctrl-C, and start again."""
+    """Use the arm twice; Ctrl-C ends the first use only."""
     for _ in range(2):
         with suppress(KeyboardInterrupt), arm:
             ticks(world, arm, 2, stall)
@@ -458,13 +458,13 @@ def hand_back(world, arm, stall):
 
 
 def end_at_once(world, arm, stall):
-    """Leave the ending to the end of the interpreter."""
+    """End the program without closing the arm."""
     arm.enable()
     ticks(world, arm, 2, stall)
 
 
 PROGRAMS = (with_block, calls, again, hand_back, end_at_once)
-#: Durations of a stall [s]: none; about when the watchdog thread acts; during its descent; beyond.
+#: Durations of a stall [s]: none; until about the watchdog time; into the descent; beyond it.
 STALLS = (0.0, 0.35, 0.4, 1.0)
 
 
@@ -488,7 +488,7 @@ class Case:
     def run(self, actions):
         """Run with the actions of a plan."""
         world = self._make()
-        plan = Plan({at: self._action(world, *action) for at, action in actions.items()})
+        plan = Plan({step: self._action(world, *action) for step, action in actions.items()})
         try:
             world.run(plan)
         except AssertionError as error:
@@ -514,19 +514,19 @@ def random_actions(rng, case):
     kinds = [("signal", INT), ("signal", TERM), ("signal", HUP), ("fault", 1), ("fault", 120)]
     kinds += [("switch", 0), ("switch", 1)] * 2
     kinds += [("kill", None)] * case.guardian
-    first = at = rng.randrange(1, case.steps + 50)
-    found = {}
+    first = step = rng.randrange(1, case.steps + 50)
+    actions = {}
     for _ in range(rng.randint(1, 4)):
-        found[at] = rng.choice(kinds)
-        near = rng.random() < 0.6
-        at = max(1, first + rng.randint(-5, 40)) if near else rng.randrange(1, case.steps + 50)
-    return found
+        actions[step] = rng.choice(kinds)
+        is_near = rng.random() < 0.6
+        step = max(1, first + rng.randint(-5, 40)) if is_near else rng.randrange(1, case.steps + 50)
+    return actions
 
 
-def run_at_random(found, runs, first=0):
+def run_at_random(failures, runs, first=0):
     for seed in range(first, first + runs):
         rng = random.Random(seed)
-        case = rng.choice(found)
+        case = rng.choice(failures)
         case.run(random_actions(rng, case))
 
 
@@ -540,15 +540,15 @@ def test_no_random_schedule_leaves_the_arm_without_an_owner(monkeypatch, first, 
 
 @pytest.mark.parametrize("stride", [61, pytest.param(1, marks=pytest.mark.full)])
 @pytest.mark.parametrize("guardian", [False, True])
-def test_no_single_disturbance_at_any_line_does(monkeypatch, stride, guardian):
-    """Try every action at every step, or at every `stride`-th."""
+def test_no_single_disturbance_at_any_line_breaks_an_invariant(monkeypatch, stride, guardian):
+    """Try every action at every step, or at every `stride`-th step."""
     disturbances = [("signal", INT), ("signal", TERM), ("switch", 0), ("fault", 1), ("fault", 120)]
     disturbances += [("kill", None)] * guardian
     for stall in (0.0, 0.35):
         case = Case(monkeypatch, with_block, stall, guardian)
-        for at in range(1, case.steps + 1, stride):
+        for step in range(1, case.steps + 1, stride):
             for disturbance in disturbances:
-                case.run({at: disturbance})
+                case.run({step: disturbance})
 
 
 @pytest.mark.parametrize("program", [with_block, calls, end_at_once])
@@ -557,9 +557,9 @@ def test_two_signals_at_any_line_of_an_ending_change_nothing(monkeypatch, progra
 
 
 def interrupt_ending(case):
-    for at in range(case.ending, case.ending + 110):
-        case.run({at: ("signal", TERM)})
-        case.run({at: ("signal", INT), at + 1 + at % 7: ("signal", TERM)})
+    for step in range(case.ending, case.ending + 110):
+        case.run({step: ("signal", TERM)})
+        case.run({step: ("signal", INT), step + 1 + step % 7: ("signal", TERM)})
 
 
 @contextmanager
@@ -567,8 +567,8 @@ def unlocked(self, *, at_once=False):
     yield
 
 
-#: Faults seeded into the code, one line each, with the program whose ending shows them; None:
-#: random schedules show them.
+#: Faults that replace an attribute of the code, and the program whose ending detects them; None:
+#: random schedules detect them.
 MUTANTS = {
     "signals raise at the begin of `close`": (_signals.Signals, "hold", lambda _: None, None),
     "the lock is not taken for a descent": (
@@ -601,11 +601,11 @@ MUTANTS = {
 @pytest.mark.parametrize("name", MUTANTS)
 def test_schedules_find_a_seeded_fault(monkeypatch, name):
     owner, attribute, replacement, program = MUTANTS[name]
-    found = list(cases(monkeypatch)) if program is None else []
+    failures = list(cases(monkeypatch)) if program is None else []
     case = None if program is None else Case(monkeypatch, program, 0.0, guardian=False)
     monkeypatch.setattr(owner, attribute, replacement)
     with pytest.raises(AssertionError):
-        run_at_random(found, 4000) if case is None else interrupt_ending(case)
+        run_at_random(failures, 4000) if case is None else interrupt_ending(case)
 
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "lifecycle.md").read_text(encoding="utf-8")
@@ -624,20 +624,20 @@ TRANSITIONS = table("state | event | then")
 
 
 class Story:
-    """Brings an arm into a state of the page, lets an event happen, and records what follows."""
+    """Brings an arm into a state of docs/lifecycle.md, causes an event, and records the states."""
 
     def __init__(self, patch, state, event):
         self._state, self._event, self._at = state, event, None
         self.world = World(patch, self._live, guardian=True)
 
     def run(self):
-        """Return states and owners from the event on."""
+        """Return the states and owners after the event."""
         self.world.run(Plan())
         assert self._at is not None, f"never {self._state}"
         return self.world.states[self._at :]
 
     def _happen(self, arm):
-        """Let the event happen in the state."""
+        """Cause the event in the awaited state."""
         world, event = self.world, self._event
         world.watch = lambda state: None
         if not world.states:
@@ -668,7 +668,7 @@ class Story:
             world.scheduler.step()
 
     def _again(self):
-        """Press Ctrl-C again, later than a key that repeats."""
+        """Press Ctrl-C again, after the time in which repeated signals count as one."""
         self.world.hardware.height = 100
         self.world.scheduler.wait(deadline=self.world.scheduler.now + 1.0)
         self.world.scheduler.pending.append(INT)
@@ -702,11 +702,11 @@ class Story:
         self._happen(arm)
 
 
-@pytest.mark.parametrize(("state", "event", "then"), TRANSITIONS)
-def test_states_of_the_page_are_those_of_the_code(monkeypatch, state, event, then):
-    found = Story(monkeypatch, state, event).run()
-    assert ", ".join(name for name, _ in found) == then
-    for name, owner in found:
+@pytest.mark.parametrize(("state", "event", "expected"), TRANSITIONS)
+def test_states_of_the_page_are_those_of_the_code(monkeypatch, state, event, expected):
+    states = Story(monkeypatch, state, event).run()
+    assert ", ".join(name for name, _ in states) == expected
+    for name, owner in states:
         assert OWNERS[name] == ("off" if name == "off" else "on", owner)
 
 

@@ -30,7 +30,7 @@ def run(program):
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
 def test_a_signal_lowers_the_arm_and_the_handlers_come_back(name):
-    done = run(f"""
+    result = run(f"""
         before = signal.getsignal(signal.{name})
         try:
             with arm:
@@ -42,13 +42,13 @@ def test_a_signal_lowers_the_arm_and_the_handlers_come_back(name):
             report()
             print(signal.getsignal(signal.{name}) is before, flush=True)
     """)
-    assert done.stdout.split() == ["False", "False", "True", "True"], done.stderr
+    assert result.stdout.split() == ["False", "False", "True", "True"], result.stderr
     expected = -signal.SIGINT if name == "SIGINT" else 128 + getattr(signal, name)
-    assert done.returncode in {expected, 130}
+    assert result.returncode in {expected, 130}
 
 
 def test_a_signal_during_the_descent_waits_for_the_ground():
-    done = run("""
+    result = run("""
         def once():
             arm.drive.clock.on_tick = None
             os.kill(os.getpid(), signal.SIGTERM)
@@ -60,33 +60,33 @@ def test_a_signal_during_the_descent_waits_for_the_ground():
         finally:
             report()
     """)
-    assert done.stdout.split() == ["False", "False", "True"], done.stderr
-    assert "once it is down" in done.stderr
-    assert "torque OFF" in done.stderr
-    assert done.returncode == 128 + signal.SIGTERM
+    assert result.stdout.split() == ["False", "False", "True"], result.stderr
+    assert "once it is down" in result.stderr
+    assert "torque OFF" in result.stderr
+    assert result.returncode == 128 + signal.SIGTERM
 
 
 def test_the_end_of_the_program_lowers():
-    done = run("""
+    result = run("""
         import atexit
         atexit.register(report)
         arm.enable()
     """)
-    assert done.stdout.split() == ["False", "False", "True"], done.stderr
-    assert done.returncode == 0
+    assert result.stdout.split() == ["False", "False", "True"], result.stderr
+    assert result.returncode == 0
 
 
 def test_other_threads_are_warned_that_signals_do_nothing():
     arm = pliant.connect("koch", backend="sim", table=False, rest_q=None)
-    found = []
+    messages = []
 
     def work():
         with pytest.warns(RuntimeWarning, match="outside the main thread"):
             arm.enable()
         arm.leave_enabled()
-        found.append(True)
+        messages.append(True)
 
     thread = threading.Thread(target=work)
     thread.start()
     thread.join()
-    assert found == [True]
+    assert messages == [True]

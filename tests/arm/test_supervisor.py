@@ -25,22 +25,22 @@ def until(condition):
 
 
 def test_silence_is_detected_once_and_raised_at_the_next_call():
-    left = []
-    supervisor = Supervisor(lambda: left.append(sys.getswitchinterval()))
-    usual = sys.getswitchinterval()
+    calls = []
+    supervisor = Supervisor(lambda: calls.append(sys.getswitchinterval()))
+    interval = sys.getswitchinterval()
     with supervisor.supervised(0.05) as check:
         for _ in range(5):
             with supervisor:
-                assert not left
-        until(lambda: left)
+                assert not calls
+        until(lambda: calls)
         with supervisor.exclusive():
             pass
         with pytest.raises(pliant.ServoTimeoutError, match="did not come back"):
             check()
         with pytest.raises(pliant.ServoTimeoutError, match=r"enable\(\) starts again"), supervisor:
             pass
-    assert len(left) == 1
-    assert left[0] <= 1e-4 < usual == sys.getswitchinterval()
+    assert len(calls) == 1
+    assert calls[0] <= 1e-4 < interval == sys.getswitchinterval()
 
 
 def test_no_supervision_outside_a_loop_or_in_simulated_time(make, grasp):
@@ -94,17 +94,17 @@ def test_any_exception_is_kept_for_the_program():
 
 
 def test_an_exception_does_not_end_the_watch_and_dismissal_does():
-    left = []
-    supervisor = Supervisor(lambda: left.append(1))
+    calls = []
+    supervisor = Supervisor(lambda: calls.append(1))
     with pytest.raises(KeyError), supervisor.supervised(0.02):
         raise KeyError("policy")
-    until(lambda: left)
+    until(lambda: calls)
     supervisor.reason = None
     with pytest.raises(KeyError), supervisor.supervised(0.05):
         raise KeyError("policy")
     supervisor.end_supervision()
     time.sleep(0.2)
-    assert left == [1]
+    assert calls == [1]
 
 
 def test_an_exit_waits_for_a_descent_and_limp_ends_it():

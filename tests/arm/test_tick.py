@@ -1,4 +1,4 @@
-"""Cost of a tick by number of calls, and the limits of commands against a computation in NumPy."""
+"""Number of calls per tick, and command limits compared with a computation in NumPy."""
 
 import importlib
 from pathlib import Path
@@ -43,12 +43,12 @@ def test_limits_equal_their_formula(supply, lead):
     n, size = model.n, model.n + 1
     rng = np.random.default_rng(0)
     chain = [5, 0, 2, 3, 1]
-    kp, usable = rng.uniform(5.0, 20.0, size), rng.uniform(1.0, 3.0, size)
+    kp, max_torque = rng.uniform(5.0, 20.0, size), rng.uniform(1.0, 3.0, size)
     servos = model.servos
-    thermal = Budget(supply=supply).thermal_model(usable, np.full(size, 2.0))
-    limiter = CommandLimiter(model, servos, thermal, chain=chain, kp=kp, max_torque=usable)
+    thermal = Budget(supply=supply).thermal_model(max_torque, np.full(size, 2.0))
+    limiter = CommandLimiter(model, servos, thermal, chain=chain, kp=kp, max_torque=max_torque)
     heat = np.zeros(size)
-    reduced = 0
+    count = 0
     for _ in range(200):
         position = rng.normal(0.0, 1.0, size)
         # The gripper, off the chain, may be unknown.
@@ -68,13 +68,15 @@ def test_limits_equal_their_formula(supply, lead):
         assert speeds[4] == np.inf
         assert needed is None if lead else needed.tolist() == gravity.tolist()
         # Goals are bounded by position limits and lead.
-        need, most = gravity / kp[chain], usable[chain] / kp[chain]
-        below, above = (most, most) if lead else (np.maximum(-need, 0.0), np.maximum(need, 0.0))
-        clipped = np.clip(goal, model.lower - below, model.upper + above)
-        assert goals[chain] == pytest.approx(clipped, abs=1e-12)
+        required, largest = gravity / kp[chain], max_torque[chain] / kp[chain]
+        lower_lead, upper_lead = (
+            (largest, largest) if lead else (np.maximum(-required, 0.0), np.maximum(required, 0.0))
+        )
+        clipped_goal = np.clip(goal, model.lower - lower_lead, model.upper + upper_lead)
+        assert goals[chain] == pytest.approx(clipped_goal, abs=1e-12)
         assert (goals[4], limits[4]) == (other[0, 0], min(other[0, 1], thermal.torque_ceiling()[4]))
         # Torque limits are bounded by the ramp after torque on, heat and supply current.
-        support, top = SUPPORT * np.abs(gravity), usable[chain]
+        support, top = SUPPORT * np.abs(gravity), max_torque[chain]
         holding = np.minimum(np.maximum(support + torque_margin(servos, gravity), ramp_start), top)
         bound = holding + np.clip(ramp, 0.0, 1.0) * (top - holding)
         bound = np.minimum(
@@ -87,7 +89,7 @@ def test_limits_equal_their_formula(supply, lead):
         pull = kp * np.nan_to_num(goals - position)
         expected = thermal.limit_current(pull, floor, before)
         assert limits[chain] == pytest.approx(expected[chain], abs=1e-12)
-        reduced += bool((expected < before).any())
+        count += bool((expected < before).any())
         # Heat follows from the measured load, or from the estimated torque where it is missing.
         load = rng.normal(0.0, 2.0, size)
         load[rng.random(size) < 0.5] = np.nan
@@ -98,54 +100,54 @@ def test_limits_equal_their_formula(supply, lead):
             positions, position, ok, 0.0, None, load, None,
             goal=goals, limit=limits, dt=2.0, now=0.0, max_jumps=3, max_heat=1.0,
         )  # fmt: skip
-        heat += -np.expm1(-2.0 / 30.0) * ((torque / (0.4 * usable)) ** 2 - heat)
+        heat += -np.expm1(-2.0 / 30.0) * ((torque / (0.4 * max_torque)) ** 2 - heat)
         assert thermal.heat == pytest.approx(heat, rel=1e-9)
-    assert (reduced > 50) == (supply is not None)
+    assert (count > 50) == (supply is not None)
 
 
 def test_a_reading_updates_filter_and_heat_as_single_calls_do():
     model = pliant.robots.so101()
     n, size, chain = model.n, model.n + 1, [5, 0, 2, 3, 1]
     rng = np.random.default_rng(1)
-    kp, usable = rng.uniform(5.0, 20.0, size), rng.uniform(1.0, 3.0, size)
+    kp, max_torque = rng.uniform(5.0, 20.0, size), rng.uniform(1.0, 3.0, size)
 
     def made():
-        thermal = Budget().thermal_model(usable, None)
+        thermal = Budget().thermal_model(max_torque, None)
         limiter = CommandLimiter(
-            model, model.servos, thermal, chain=chain, kp=kp, max_torque=usable
+            model, model.servos, thermal, chain=chain, kp=kp, max_torque=max_torque
         )
         return limiter, PositionFilter(np.full(size, 0.5)), thermal
 
     limiter, positions, thermal = made()
     expected = PositionFilter(np.full(size, 0.5))
     suspects, freshness, heat = set(), set(), np.zeros(size)
-    for turn in range(300):
-        now, dt = 0.01 * turn + 0.003, 0.5 * (turn % 4)
+    for cycle in range(300):
+        reading_time, dt = 0.01 * cycle + 0.003, 0.5 * (cycle % 4)
         position = 0.1 * rng.random(size) + 2.0 * (rng.random(size) < 0.05)
         ok = rng.random(size) > 0.2
-        time = 0.01 * turn + 0.001 * rng.random(size)
-        goal, limit = rng.normal(0.0, 1.0, size), usable * (1.5 if turn > 200 else 0.1)
+        time = 0.01 * cycle + 0.001 * rng.random(size)
+        goal, limit = rng.normal(0.0, 1.0, size), max_torque * (1.5 if cycle > 200 else 0.1)
         velocity, load, current = (
-            None if (turn + i) % 3 else rng.normal(0.0, 0.1, size) for i in range(3)
+            None if (cycle + i) % 3 else rng.normal(0.0, 0.1, size) for i in range(3)
         )
         is_fresh, q, oldest, off_chain, age, *measured, is_suspect = limiter.update(
             positions, position, ok, time, velocity, load, current,
-            goal=goal, limit=limit, dt=dt, now=now, max_jumps=2, max_heat=0.9,
+            goal=goal, limit=limit, dt=dt, now=reading_time, max_jumps=2, max_heat=0.9,
         )  # fmt: skip
-        accepted = expected.update(position, ok, time)
-        assert positions.accepted.tolist() == accepted.tolist()
-        assert is_fresh == accepted[chain].all()
+        is_accepted = expected.update(position, ok, time)
+        assert positions.accepted.tolist() == is_accepted.tolist()
+        assert is_fresh == is_accepted[chain].all()
         freshness.add(is_fresh)
-        for found, value in zip(measured, (velocity, load, current), strict=True):
-            assert (found is None) == (value is None)
-            assert value is None or found.tolist() == value[chain].tolist()
+        for result, value in zip(measured, (velocity, load, current), strict=True):
+            assert (result is None) == (value is None)
+            assert value is None or result.tolist() == value[chain].tolist()
         np.testing.assert_array_equal(q, expected.position[chain])
-        np.testing.assert_array_equal(age, now - expected.time[chain])
+        np.testing.assert_array_equal(age, reading_time - expected.time[chain])
         assert oldest == expected.time[chain].min()
         np.testing.assert_array_equal(off_chain, [expected.position[4]])
         torque = np.minimum(np.abs(np.nan_to_num(kp * (goal - expected.position))), limit)
         torque = torque if load is None else np.abs(load)
-        heat += -np.expm1(-dt / 30.0) * ((torque / (0.4 * usable)) ** 2 - heat)
+        heat += -np.expm1(-dt / 30.0) * ((torque / (0.4 * max_torque)) ** 2 - heat)
         assert thermal.heat == pytest.approx(heat, rel=1e-9)
         is_hot = bool((heat > 0.9).any())
         assert is_suspect == (bool(expected.implausible(2)) or is_hot)

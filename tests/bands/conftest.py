@@ -1,8 +1,7 @@
-"""Bands (bounds) that results on the simulated arm must satisfy, with a fixed random seed.
+"""Bands: bounds on results of the simulated arm, with a fixed random seed.
 
-Each test names the preset in `experiments.controllers` that reaches its band. "Measured" in a
-comment is the value at the time when the band was set. Tests marked `full` are the long forms of
-tests that always run in part.
+Each test names the settings of `experiments.controllers` that reach its band. "Measured" in a
+comment is the value when the band was set. Tests marked `full` are longer forms of other tests.
 """
 
 import pytest

@@ -1,4 +1,4 @@
-"""Force against deviation: profiles of yielding axes, deviation limits of stiff ones."""
+"""Force against deviation: profiles of soft axes, and deviation limits of stiff axes."""
 
 from contextlib import nullcontext
 
@@ -13,12 +13,12 @@ from pliant import Axis, Settings
 SOFT, FIRM = 4.0, 15.0  # [N]
 #: Joint friction that the feed-forward does not compensate, as a force along y, plus a margin [N].
 FRICTION = 1.8
-PLACES = (0.005, 0.02, 0.04, 0.055, 0.07, 0.09, 0.11, 0.13)  # [m]
-NEARLY = [NOMINAL, *(Conditions(delay=(1, 1), believed=share) for share in (0.7, 1.3))]
+DEVIATIONS = (0.005, 0.02, 0.04, 0.055, 0.07, 0.09, 0.11, 0.13)  # [m]
+NEARLY = [NOMINAL, *(Conditions(delay=(1, 1), assumed_ratio=share) for share in (0.7, 1.3))]
 
 
-def wanted(profile, deviation):
-    """Return the smaller of the profile's and the servos' force [N] at a deviation [m]."""
+def expected_force(profile, deviation):
+    """Return the expected force [N] at a deviation [m]: the cap, or the force of the servos."""
     c = float(np.clip(1.0 - (deviation - 0.01) / 0.09, 0.0, 1.0))
     strength = {
         "hardening": c * SOFT + (1.0 - c) * FIRM,
@@ -30,16 +30,24 @@ def wanted(profile, deviation):
 
 def test_profiles_are_felt_as_promised_and_differ_where_they_should():
     """At 0.02 m the profile `softening` has the largest force, at 0.13 m `hardening`."""
-    felt = {}
+    forces = {}
     for profile in ("hardening", "constant", "softening"):
-        seen = compliance.answer(Settings(axes={"y": Axis(soft=SOFT, firm=FIRM, profile=profile)}))
-        felt[profile] = {
-            place: float(seen.force[np.abs(seen.deviation - place) < 0.003].mean())
-            for place in PLACES
+        result = compliance.answer(
+            Settings(axes={"y": Axis(soft=SOFT, firm=FIRM, profile=profile)})
+        )
+        forces[profile] = {
+            deviation: float(result.force[np.abs(result.deviation - deviation) < 0.003].mean())
+            for deviation in DEVIATIONS
         }
-        for place, force in felt[profile].items():
-            assert force == pytest.approx(wanted(profile, place), abs=FRICTION), (profile, place)
-    near, far = ({name: at[place] for name, at in felt.items()} for place in (0.02, 0.13))
+        for deviation, force in forces[profile].items():
+            assert force == pytest.approx(expected_force(profile, deviation), abs=FRICTION), (
+                profile,
+                deviation,
+            )
+    near, far = (
+        {name: by_deviation[deviation] for name, by_deviation in forces.items()}
+        for deviation in (0.02, 0.13)
+    )
     assert near["softening"] > near["hardening"] + 4.0 > near["constant"] + 4.0
     assert far["hardening"] > far["softening"] + 8.0
     assert far["softening"] == pytest.approx(far["constant"], abs=0.5)
@@ -52,32 +60,32 @@ def test_a_stiff_axis_follows_a_strong_hand_beyond_its_limit(conditions):
     limit = 0.02  # [m]
     with nullcontext() if conditions is NOMINAL else under(conditions):
         free = disturbances.drag(Settings.firm(), conditions=conditions)
-        seen = disturbances.drag(
+        result = disturbances.drag(
             Settings(axes={"y": Axis(deviation_limit=limit)}), conditions=conditions
         )
-    promised = limit * compliance.stiffness("y")  # [N], measured 11.0
-    assert seen.moved > 0.14  # [m], of 0.15
-    assert seen.held == pytest.approx(promised, abs=2.5)  # [N], measured 10.8
-    assert seen.force < 0.5 * free.force  # measured 12.5 of 36.2
-    assert seen.drift < 0.25 * free.drift  # measured 6 of 42 mm
-    assert seen.end < 0.002  # [m], distance from the target at the end
-    assert seen.fastest < 0.7 * free.fastest  # measured 0.95 of 1.87 rad/s
+    expected = limit * compliance.stiffness("y")  # [N], measured 11.0
+    assert result.moved > 0.14  # [m], of 0.15
+    assert result.held == pytest.approx(expected, abs=2.5)  # [N], measured 10.8
+    assert result.force < 0.5 * free.force  # measured 12.5 of 36.2
+    assert result.drift < 0.25 * free.drift  # measured 6 of 42 mm
+    assert result.end < 0.002  # [m], distance from the target at the end
+    assert result.fastest < 0.7 * free.fastest  # measured 0.95 of 1.87 rad/s
 
 
 @pytest.mark.parametrize("reaction", ["yield", "wait"])
 def test_a_blocked_axis_does_not_push_with_all_it_has(reaction):
     limit = 0.01  # [m]
     free = compliance.block(Settings.firm())
-    seen = compliance.block(
+    result = compliance.block(
         Settings(axes={"x": Axis(deviation_limit=limit, on_deviation_limit=reaction)})
     )
-    promised = limit * compliance.stiffness("x")  # [N], measured 13.9
-    assert seen.force == pytest.approx(promised, abs=3.5)  # [N], measured 11.6, 12.7
-    assert seen.force < 0.75 * free.force  # measured 18.1
-    assert seen.limited == pytest.approx(1.0)
+    expected = limit * compliance.stiffness("x")  # [N], measured 13.9
+    assert result.force == pytest.approx(expected, abs=3.5)  # [N], measured 11.6, 12.7
+    assert result.force < 0.75 * free.force  # measured 18.1
+    assert result.limited == pytest.approx(1.0)
     assert free.limited == pytest.approx(0.0)
-    assert seen.left < 0.002  # [m], distance from the target after the wall is gone
-    assert seen.fastest < 0.5 * free.fastest  # measured 0.27, 0.33 of 0.77 m/s
+    assert result.left < 0.002  # [m], distance from the target after the wall is gone
+    assert result.fastest < 0.5 * free.fastest  # measured 0.27, 0.33 of 0.77 m/s
 
 
 def test_a_target_that_waits_waits_on_all_axes_and_one_that_follows_does_not():
@@ -98,16 +106,16 @@ def test_a_target_that_waits_waits_on_all_axes_and_one_that_follows_does_not():
 def test_a_limit_does_not_keep_a_free_arm_from_its_target(reaction, speed):
     for limit in (0.002, 0.005):
         axes = {"x": Axis(deviation_limit=limit, on_deviation_limit=reaction)}
-        seen = compliance.jump(Settings(axes=axes, max_tool_speed=speed))
-        assert seen.after < 2.5  # [s], measured 0.6-1.7
-        assert seen.left < 1e-3  # [m]
-        assert seen.speed < 1e-3  # [rad/s]
+        result = compliance.jump(Settings(axes=axes, max_tool_speed=speed))
+        assert result.after < 2.5  # [s], measured 0.6-1.7
+        assert result.left < 1e-3  # [m]
+        assert result.speed < 1e-3  # [rad/s]
 
 
 @pytest.mark.parametrize("reaction", ["yield", "wait"])
 def test_at_the_tool_s_speed_a_limit_of_5_mm_costs_nothing(reaction):
     free = compliance.jump(Settings())
-    seen = compliance.jump(
+    result = compliance.jump(
         Settings(axes={"x": Axis(deviation_limit=0.005, on_deviation_limit=reaction)})
     )
-    assert seen.after == pytest.approx(free.after, abs=0.05)  # [s], measured 0.82
+    assert result.after == pytest.approx(free.after, abs=0.05)  # [s], measured 0.82

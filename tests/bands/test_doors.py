@@ -1,10 +1,10 @@
-"""Doors: opened by the default law with little force, jammed by the others."""
+"""Doors: the default law opens them with little force; with others they jam."""
 
 import pytest
 
 from experiments import controllers, doors
 
-#: Bounds by scene and grip: smallest angle [deg] and largest force [N], with the measured values.
+#: Smallest angle [deg] and largest force [N] by scene and grip.
 CAP = {
     ("door", "rigid"): (64.0, 32.0),  # measured 67.7, 24.4
     ("door", "turning"): (64.0, 25.0),  # measured 69.3, 9.8
@@ -23,30 +23,30 @@ RESISTING = ("door", "fridge", "horizontal", "oven")
 
 
 def all_stiff(*, soft, null_space):
-    """Return `controllers.all_stiff`, which takes no soft axis."""
+    """Return `controllers.all_stiff`; the argument `soft` is ignored."""
     return controllers.all_stiff(null_space=null_space)
 
 
 def cap_stiff(*, soft, null_space):
-    """Return `controllers.cap` without a soft axis."""
+    """Return `controllers.cap` without a soft axis; the argument `soft` is ignored."""
     return controllers.cap(soft="", null_space=null_space)
 
 
 @pytest.mark.parametrize(("scene", "grip"), CAP, ids=" ".join)
 def test_cap_opens(scene, grip):
-    least, most = CAP[scene, grip]
-    seen = doors.open_door(controllers.cap, scene, grip)
-    assert seen.angle > least
-    assert seen.force < most
+    angle, force = CAP[scene, grip]
+    result = doors.open_door(controllers.cap, scene, grip)
+    assert result.angle > angle
+    assert result.force < force
     if (scene, grip) == ("door", "rigid"):
-        assert seen.torque < 3.0  # [N·m], measured 2.1
+        assert result.torque < 3.0  # [N·m], measured 2.1
 
 
 def test_rows_free_opens_a_rigidly_gripped_door():
-    seen = doors.open_door(controllers.rows_free)
-    assert seen.angle > 60.0  # [deg], measured 66
-    assert seen.force < 60.0  # [N], measured 42
-    assert seen.torque < 6.0  # [N·m], measured 4.0
+    result = doors.open_door(controllers.rows_free)
+    assert result.angle > 60.0  # [deg], measured 66
+    assert result.force < 60.0  # [N], measured 42
+    assert result.torque < 6.0  # [N·m], measured 4.0
 
 
 def test_rec_jams_on_a_rigidly_gripped_door():
@@ -55,18 +55,18 @@ def test_rec_jams_on_a_rigidly_gripped_door():
 
 @pytest.mark.parametrize("law", [controllers.rec, controllers.rows_free], ids=["rec", "rows_free"])
 def test_jacobian_forms_open_a_door_whose_handle_turns(law):
-    seen = doors.open_door(law, "door", "turning")
-    assert seen.angle > 60.0  # [deg], measured 69
-    assert seen.force < 25.0  # [N], measured 13
+    result = doors.open_door(law, "door", "turning")
+    assert result.angle > 60.0  # [deg], measured 69
+    assert result.force < 25.0  # [N], measured 13
 
 
 def test_all_stiff_jams_and_pulls_hard():
-    rigid = doors.open_door(all_stiff)
-    assert rigid.angle < 35.0  # [deg], measured 22
-    assert rigid.force >= 2.0 * doors.open_door(controllers.cap).force
-    turning = doors.open_door(all_stiff, "door", "turning")
+    rigid_grip = doors.open_door(all_stiff)
+    assert rigid_grip.angle < 35.0  # [deg], measured 22
+    assert rigid_grip.force >= 2.0 * doors.open_door(controllers.cap).force
+    turning_grip = doors.open_door(all_stiff, "door", "turning")
     # Measured 4.0.
-    assert turning.force >= 2.0 * doors.open_door(controllers.rec, "door", "turning").force
+    assert turning_grip.force >= 2.0 * doors.open_door(controllers.rec, "door", "turning").force
 
 
 def test_cap_without_a_soft_axis_pulls_twice_as_hard():
@@ -76,9 +76,9 @@ def test_cap_without_a_soft_axis_pulls_twice_as_hard():
 @pytest.mark.parametrize("grip", ["rigid", "turning"])
 @pytest.mark.parametrize("scene", RESISTING)
 def test_cap_opens_and_closes_by_resistance(scene, grip):
-    seen = doors.open_and_close(controllers.cap, scene, grip)
-    assert len(seen.ends) == 2
-    opened, closed = seen.ends
-    assert opened == pytest.approx(45.0, abs=1.0)  # [deg], measured 45.1
-    assert closed == pytest.approx(0.0, abs=1.0)  # [deg], measured -0.2
-    assert seen.force < 65.0  # [N], measured 53
+    result = doors.open_and_close(controllers.cap, scene, grip)
+    assert len(result.ends) == 2
+    open_angle, closed_angle = result.ends
+    assert open_angle == pytest.approx(45.0, abs=1.0)  # [deg], measured 45.1
+    assert closed_angle == pytest.approx(0.0, abs=1.0)  # [deg], measured -0.2
+    assert result.force < 65.0  # [N], measured 53

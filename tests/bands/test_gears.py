@@ -1,4 +1,4 @@
-"""Load-dependent friction: compensation by the feed-forward once it is known."""
+"""Load-dependent friction: the feed-forward compensates it if the controller knows it."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ KNOWN = Conditions(gears=REAL_GEARS["arm7"], gears_known=True)
 
 
 def test_a_known_load_is_fed_forward():
-    drag = goals.dragged(controllers.cap(), DRAG_15N)
+    drag = goals.measure_drag(controllers.cap(), DRAG_15N)
     with under(UNKNOWN):
         assert drag(UNKNOWN)["force [N]"] > 14.0  # measured 15.0: the hand's largest force
     assert drag(KNOWN)["force [N]"] < 8.5  # measured 7.6
@@ -36,24 +36,24 @@ def test_the_arm_stays_at_rest(delay):
 
 
 def test_dither_makes_the_drag_lighter_and_costs_reversals():
-    """One row of `experiments.gears` for the present law, and one with dither."""
+    """Compare two rows of `experiments.gears`: the present law, and dither."""
     case, rows = gears.Case(arm="arm7"), ("present law", "dither 0.6")
     present, dither = (gears.drag(case, gears.REMEDIES[row]) for row in rows)
     assert present == pytest.approx(8.0, abs=0.3)  # measured 8.04
     assert dither < 0.93 * present  # measured 7.1
-    (calm, cool, _, _), (shaken, warm, _, _) = (
+    (reversals_without, heat_without, _, _), (reversals_with, heat_with, _, _) = (
         gears.rest(case, gears.REMEDIES[row], 0.0) for row in rows
     )
-    assert calm < 1.0  # [1/s]
-    assert shaken > 20.0
-    assert warm > cool
+    assert reversals_without < 1.0  # [1/s]
+    assert reversals_with > 20.0
+    assert heat_with > heat_without
 
 
 @pytest.mark.parametrize("arm", ["arm7", "so101"])
 def test_a_drag_needs_at_least_the_static_friction_of_one_joint(arm):
     case = gears.Case(arm=arm, encoder_step=gears.COUNT)
-    least = gears.bound(case)
+    smallest = gears.bound(case)
     strong = gears.bound(gears.Case(arm=arm, friction=1.3))
-    assert 1.1 * least.moves < strong.moves < 1.5 * least.moves
-    assert least.counts > 0.0
-    assert gears.drag(case, gears.REMEDIES["present law"]) > least.moves
+    assert 1.1 * smallest.moves < strong.moves < 1.5 * smallest.moves
+    assert smallest.counts > 0.0
+    assert gears.drag(case, gears.REMEDIES["present law"]) > smallest.moves

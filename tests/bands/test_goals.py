@@ -1,4 +1,4 @@
-"""The table of goals of the experiments: each row has a preset, a bound and a measured value."""
+"""Table of the experiments' goals: each row has settings, a bound and a measured value."""
 
 import dataclasses
 
@@ -9,7 +9,7 @@ import pliant
 from experiments import controllers, goals
 from pliant.sim import DRAG_15N
 
-#: The preset under test.
+#: Settings of the tested law.
 GAIN = {"tracking": pliant.Tracking(gain=4.8)}
 
 
@@ -30,10 +30,10 @@ def test_a_stiffer_hold_keeps_the_drift_with_overestimated_friction():
     ]
     assert [row.figure for row in rows] == ["force [N]", "drift [mm]"]
     assert all(row.met for row in rows)  # measured 7.36 N of 7.5, 3.33 mm of 4.0
-    (too_high,) = (one for one in goals.UNCERTAIN if one.believed > 1.0)
+    (too_high,) = (condition for condition in goals.UNCERTAIN if condition.assumed_ratio > 1.0)
     with under(too_high):
         stiffer, default = (
-            goals.dragged(controllers.cap(**options), DRAG_15N)(too_high)["drift [mm]"]
+            goals.measure_drag(controllers.cap(**options), DRAG_15N)(too_high)["drift [mm]"]
             for options in (GAIN, {})
         )
     assert stiffer == rows[1].reached_uncertain
@@ -41,9 +41,14 @@ def test_a_stiffer_hold_keeps_the_drift_with_overestimated_friction():
 
 
 def test_drag_and_door_run_at_every_rate_delay_and_assumption():
-    under = goals.rate_conditions()
-    assert len(under) == 12
-    assert len({(one.rate, one.delay, one.believed) for one in under}) == 12
+    conditions = goals.rate_conditions()
+    assert len(conditions) == 12
+    assert (
+        len(
+            {(condition.rate, condition.delay, condition.assumed_ratio) for condition in conditions}
+        )
+        == 12
+    )
     lines = goals.rates_text("nothing of this name").splitlines()
     assert len(lines) == 2
     assert lines[0].count("|") == lines[1].count("|")

@@ -29,12 +29,16 @@ def test_cap_holds(delay):
 
 
 def test_cap_holds_while_an_axis_follows():
-    # At the start the arm sags by 0.14 mm in y, until the goals carry it after three ticks.
+    # The arm sags by 0.14 mm in y, until the goals compensate gravity after three ticks.
     assert disturbances.idle(controllers.cap()).error < 0.0005  # [m]
 
 
 @pytest.mark.parametrize(
-    ("axis", "size", "most"),  # size [N or N·m]; most [m or rad], measured 0.0076, 0.024, 0.052
+    (
+        "axis",
+        "size",
+        "largest",
+    ),  # size [N or N·m]; largest [m or rad], measured 0.0076, 0.024, 0.052
     [
         ("x", 10.0, 0.011),
         ("x", -10.0, 0.011),
@@ -44,5 +48,5 @@ def test_cap_holds_while_an_axis_follows():
         ("pitch", -1.5, 0.07),
     ],
 )
-def test_cap_stiff_axes_have_the_servos_own_stiffness(axis, size, most):
-    assert 0.0 < disturbances.push_stiff(controllers.cap(), axis, size) < most
+def test_cap_stiff_axes_have_the_servos_own_stiffness(axis, size, largest):
+    assert 0.0 < disturbances.push_stiff(controllers.cap(), axis, size) < largest

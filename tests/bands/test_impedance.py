@@ -1,4 +1,4 @@
-"""Law `impedance` on position servos: stiff axes act as springs, and soft axes have no spring."""
+"""Law `impedance` on position servos: springs along stiff axes, none along soft axes."""
 
 import re
 from functools import partial
@@ -12,16 +12,16 @@ from pliant import Axis, ConfigError, Controller, Settings, robots
 from pliant.sim import DRAG_15N, Plant
 from pliant.sim.postures import VERTICAL
 
-#: Law `impedance` without the reduction of stiffness for delays.
-asked = partial(controllers.impedance, accept_high_stiffness=True)
+#: Law `impedance` that accepts a high stiffness, instead of reducing it for delays.
+unreduced = partial(controllers.impedance, accept_high_stiffness=True)
 
 NOMINAL = Conditions()
 DELAYED = Conditions(delay=(1, 1))
 FAST = Conditions(rate=200.0, delay=(1, 1))
 SLOW = Conditions(rate=50.0, delay=(1, 1))
 
-#: By loop: conditions and law; for a door, smallest angle [deg] and largest force [N]; for a hand
-#: of at most 15 N, largest force [N] and drift [m]. Comments of entries have the measured values.
+#: By loop: conditions; law; for a door, smallest angle [deg] and largest force [N]; for a hand of
+#: at most 15 N, largest force [N] and drift [m]. The comments have the measured values.
 LOOPS = {
     "100 Hz": (NOMINAL, controllers.impedance, 65.0, 16.0, 5.8, 0.0040),  # 65.6, 15.1, 5.3, .0034
     "100 Hz, 1+1": (
@@ -32,11 +32,18 @@ LOOPS = {
         7.0,
         0.0085,
     ),  # 63.3, 12.5, 6.2, .0074
-    "100 Hz, 1+1, as asked": (DELAYED, asked, 65.0, 18.0, 7.0, 0.0055),  # 65.8, 16.4, 6.3, .0047
+    "100 Hz, 1+1, as asked": (
+        DELAYED,
+        unreduced,
+        65.0,
+        18.0,
+        7.0,
+        0.0055,
+    ),  # 65.8, 16.4, 6.3, .0047
     "200 Hz, 1+1": (FAST, controllers.impedance, 65.0, 15.5, 6.2, 0.0045),  # 66.2, 14.0, 5.6, .0039
-    "200 Hz, 1+1, as asked": (FAST, asked, 65.0, 15.5, 6.2, 0.0042),  # 66.2, 14.0, 5.6, .0036
+    "200 Hz, 1+1, as asked": (FAST, unreduced, 65.0, 15.5, 6.2, 0.0042),  # 66.2, 14.0, 5.6, .0036
 }
-#: By loop: factor on the stiffness of 800 N/m and 20 N·m/rad at which the loop oscillates. The
+#: By loop: multiple of the stiffness 800 N/m and 20 N·m/rad at which the loop oscillates. The
 #: product of stiffness ratio ρ and loop delay T_e is then 0.11, 0.07, 0.14 and 0.14 s.
 RINGING = {"100 Hz": 8.0, "100 Hz, 1+1": 1.0, "200 Hz, 1+1": 4.0, "50 Hz, 1+1": 1.0}
 CONDITIONS = {
@@ -50,24 +57,24 @@ CONDITIONS = {
 @pytest.mark.parametrize("loop", LOOPS)
 def test_opens_a_rigidly_gripped_door_with_the_least_force(loop):
     conditions, law, angle, force, _, _ = LOOPS[loop]
-    seen = doors.open_door(law, conditions=conditions)
-    assert seen.angle > angle
-    assert seen.force < force
-    assert seen.torque < 1.5  # [N·m], measured 1.1
+    result = doors.open_door(law, conditions=conditions)
+    assert result.angle > angle
+    assert result.force < force
+    assert result.torque < 1.5  # [N·m], measured 1.1
 
 
 def test_opens_a_door_whose_handle_turns():
-    seen = doors.open_door(controllers.impedance, "door", "turning")
-    assert seen.angle > 65.0  # [deg], measured 67.8
-    assert seen.force < 10.0  # [N], measured 7.5
+    result = doors.open_door(controllers.impedance, "door", "turning")
+    assert result.angle > 65.0  # [deg], measured 67.8
+    assert result.force < 10.0  # [N], measured 7.5
 
 
 @pytest.mark.parametrize("loop", LOOPS)
 def test_follows_a_15_newton_hand(loop):
     conditions, law, _, _, force, drift = LOOPS[loop]
-    seen = disturbances.drag(law(), DRAG_15N, conditions=conditions)
-    assert seen.force < force
-    assert seen.position < drift
+    result = disturbances.drag(law(), DRAG_15N, conditions=conditions)
+    assert result.force < force
+    assert result.position < drift
 
 
 @pytest.mark.parametrize("axis", ["x", "y", "z"])
@@ -75,57 +82,58 @@ def test_follows_a_15_newton_hand(loop):
 def test_taps_die_within_the_bound(loop, axis):
     law = controllers.impedance()
     # Measured 0.0009 [rad/s].
-    assert disturbances.tapped(law, axis, conditions=CONDITIONS[loop]) < 0.002
+    assert disturbances.speed_after_tap(law, axis, conditions=CONDITIONS[loop]) < 0.002
 
 
 @pytest.mark.parametrize("loop", RINGING)
 def test_taps_ring_beyond_the_bound(loop):
     stiffness = (800.0 * RINGING[loop], 20.0 * RINGING[loop])
-    law = asked(soft="", stiffness=stiffness)
+    law = unreduced(soft="", stiffness=stiffness)
     # Measured 0.45-0.74 [rad/s].
-    assert disturbances.tapped(law, "z", conditions=CONDITIONS[loop]) > 0.1
+    assert disturbances.speed_after_tap(law, "z", conditions=CONDITIONS[loop]) > 0.1
 
 
 def test_a_slow_loop_with_a_tick_each_way_is_stable():
-    seen = disturbances.idle(controllers.impedance(), conditions=SLOW)
-    assert seen.speed < 0.002  # [rad/s], measured 0.0005; with the full springs 0.48
-    dragged = disturbances.drag(controllers.impedance(), DRAG_15N, conditions=SLOW)
-    assert dragged.moved > 0.2  # [m]
-    assert dragged.position < 0.015  # [m]
+    result = disturbances.idle(controllers.impedance(), conditions=SLOW)
+    assert result.speed < 0.002  # [rad/s], measured 0.0005; with the full springs 0.48
+    drag = disturbances.drag(controllers.impedance(), DRAG_15N, conditions=SLOW)
+    assert drag.moved > 0.2  # [m]
+    assert drag.position < 0.015  # [m]
 
 
 def test_a_spring_answers_in_proportion():
     soft = controllers.impedance(soft="", stiffness=(300.0, 20.0))
-    given = disturbances.push_stiff(soft, "y", 6.0)
-    assert given == pytest.approx(6.0 / 300.0, abs=0.006)  # [m] plus friction of the gears
+    deviation = disturbances.push_stiff(soft, "y", 6.0)
+    assert deviation == pytest.approx(6.0 / 300.0, abs=0.006)  # [m] plus friction of the gears
 
 
 def test_the_cap_bounds_a_spring():
     axes = {"y": Axis(hold=10.0)}
     law = controllers.impedance(soft="", axes=axes)
-    seen = disturbances.drag(law)
-    assert 8.0 <= seen.held <= 12.0  # [N]
+    result = disturbances.drag(law)
+    assert 8.0 <= result.held <= 12.0  # [N]
 
 
 def test_a_damper_is_quiet():
     law = controllers.impedance(damping=(40.0, 1.5))
     for axis in ("x", "z"):
         # Measured 0.0007 [rad/s].
-        assert disturbances.tapped(law, axis, conditions=DELAYED) < 0.002
+        assert disturbances.speed_after_tap(law, axis, conditions=DELAYED) < 0.002
 
 
 def test_well_damped_servos_bear_more_than_their_own_stiffness():
-    """An SO-101 with damping over k_p of 0.12 s allows a stiffness ratio ρ of 2.2.
+    """An SO-101 whose damping is 0.12 s times k_p allows a stiffness ratio ρ of 2.2.
 
-    The loop runs at 100 Hz with a delay of a tick each way, for which other arms allow 1.2.
+    The loop runs at 100 Hz with one tick of delay for reading and for writing; other arms then
+    allow 1.2.
     """
     arm, q = robots.load("so101"), np.array([0.2, -0.3, 0.3, 0.9, 0.0])
     rows = arm.jacobian(q)[:3]
-    give = np.linalg.eigvalsh(rows @ np.diag(1.0 / np.asarray(arm.servos.kp)) @ rows.T)[-1]
+    compliance = np.linalg.eigvalsh(rows @ np.diag(1.0 / np.asarray(arm.servos.kp)) @ rows.T)[-1]
     settings = Settings(
         task="xyz",
         law="impedance",
-        axes={"xyz": Axis(stiffness=2.2 / give)},
+        axes={"xyz": Axis(stiffness=2.2 / compliance)},
         delay=0.02,
         **controllers.NO_RATE_LIMITS,
     )
@@ -133,8 +141,8 @@ def test_well_damped_servos_bear_more_than_their_own_stiffness():
     plant.reset(q)
     target, speeds = arm.forward_kinematics(q)[:3, 3], []
     for tick in range(350):
-        tapped = target + np.array([0.0, 0.02, 0.01]) if 100 <= tick < 105 else target
-        command = controller.step(plant.read().q, tapped)
+        moved_target = target + np.array([0.0, 0.02, 0.01]) if 100 <= tick < 105 else target
+        command = controller.step(plant.read().q, moved_target)
         plant.write(command.goal, command.torque_limit)
         plant.advance()
         speeds.append(plant.dq)
@@ -142,7 +150,7 @@ def test_well_damped_servos_bear_more_than_their_own_stiffness():
     assert np.sqrt(np.mean(np.square(speeds[-50:]))) < 0.005  # [rad/s], measured 0.0004
 
 
-def rings(rate, stiffness, accept_high_stiffness=False):
+def residual_speed(rate, stiffness, accept_high_stiffness=False):
     """Return the largest joint speed [rad/s] later than a second after a tap.
 
     The loop has a delay of one tick for reading and one for writing.
@@ -159,10 +167,10 @@ def rings(rate, stiffness, accept_high_stiffness=False):
     )
     plant = Plant(robots.load("arm7"), rate=rate, delay=(1, 1))
     plant.reset(VERTICAL)
-    still, tapped, speeds = plant.tool, plant.tool.copy(), []
-    tapped[0, 3] += 0.02
+    target, moved_target, speeds = plant.tool, plant.tool.copy(), []
+    moved_target[0, 3] += 0.02
     for tick in range(300):
-        command = controller.step(plant.read().q, tapped if 50 < tick < 60 else still)
+        command = controller.step(plant.read().q, moved_target if 50 < tick < 60 else target)
         plant.write(command.goal, command.torque_limit)
         plant.advance()
         speeds.append(np.abs(plant.dq).max())
@@ -171,12 +179,12 @@ def rings(rate, stiffness, accept_high_stiffness=False):
 
 def test_what_is_refused_rings_and_what_is_proposed_instead_does_not():
     asked_for = {"xyz": Axis(stiffness=800.0), "rpy": Axis(stiffness=20.0)}
-    with pytest.raises(ConfigError, match="a stiffer loop oscillates: use x=") as refused:
-        rings(50.0, asked_for)
-    proposed = re.findall(
-        r"(x|y|z|roll|pitch|yaw)=([\d.]+) N", str(refused.value).split(": use ")[1]
-    )
+    with pytest.raises(ConfigError, match="a stiffer loop oscillates: use x=") as error:
+        residual_speed(50.0, asked_for)
+    proposed = re.findall(r"(x|y|z|roll|pitch|yaw)=([\d.]+) N", str(error.value).split(": use ")[1])
     assert len(proposed) == 6
-    assert rings(50.0, asked_for, accept_high_stiffness=True) > 0.1  # [rad/s], measured 1.1
+    assert (
+        residual_speed(50.0, asked_for, accept_high_stiffness=True) > 0.1
+    )  # [rad/s], measured 1.1
     nearest = {name: Axis(stiffness=float(value)) for name, value in proposed}
-    assert rings(50.0, nearest) < 0.005  # [rad/s], measured 0.001
+    assert residual_speed(50.0, nearest) < 0.005  # [rad/s], measured 0.001

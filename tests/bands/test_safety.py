@@ -6,15 +6,15 @@ import pytest
 from experiments import cap_accuracy, controllers, disturbances
 
 #: Largest accepted force on the hand [N], by direction of its motion.
-DEAD = {"+y": 11.0, "-y": 17.0, "-x": 14.0, "-z": 11.0}  # measured 7.9, 12.4, 9.7, 6.9
+LARGEST_FORCE = {"+y": 11.0, "-y": 17.0, "-x": 14.0, "-z": 11.0}  # measured 7.9, 12.4, 9.7, 6.9
 LEAST_KEPT = 0.92  # measured 0.98
 
 
-@pytest.mark.parametrize("push", DEAD)
+@pytest.mark.parametrize("push", LARGEST_FORCE)
 def test_cap_leaves_little_force_when_the_host_dies(push):
-    seen = disturbances.lose_host(controllers.cap(eta=0.0), push)
-    assert seen.force < DEAD[push]
-    assert abs(seen.force - seen.formula) < 2.5  # [N], measured 1.7
+    result = disturbances.lose_host(controllers.cap(eta=0.0), push)
+    assert result.force < LARGEST_FORCE[push]
+    assert abs(result.force - result.formula) < 2.5  # [N], measured 1.7
 
 
 def test_cap_stands_still_when_the_host_dies():
@@ -23,7 +23,9 @@ def test_cap_stands_still_when_the_host_dies():
 
 def kept(count, margin):
     cases = list(cap_accuracy.cases(count, margin))
-    runs = [cap_accuracy.keep(case, guided=guided) for case in cases for guided in (False, True)]
+    runs = [
+        cap_accuracy.keep(case, guided=is_guided) for case in cases for is_guided in (False, True)
+    ]
     return [run.kept for run in runs]
 
 

@@ -1,8 +1,8 @@
-"""Position limits on the simulated arm: excursion beyond a limit, gravity at it, coming to rest."""
+"""Joints at position limits of the simulated arm: excursion, gravity, and rest after a push."""
 
 import numpy as np
 import pytest
-from mismatch import DRAWN, Mismatch, Parameters
+from mismatch import RANDOM, Mismatch, Parameters
 
 import pliant
 from experiments import joint_limit_rest
@@ -18,27 +18,27 @@ ARMS = {
 }
 
 
-def limited(name, q, room):
+def limited_model(name, q, room):
     """Return the arm with limits q ± room of its first joint; the plant has wider limits."""
     bounds = {robots.load(name).joint_names[0]: (q[0] - room, q[0] + room)}
     return robots.load(name, limits=bounds)
 
 
-def beyond_the_limit(name, cap, ticks, law="cap"):
+def excursions(name, cap, ticks, law="cap"):
     """Return the excursion of the first joint beyond its limit [rad]: largest, final, ringing.
 
     The target is out of reach along the soft axis y.
     """
     q, room = ARMS[name][0], 0.05
-    model, late = limited(name, q, room), 2 * ticks / 100.0
-    gap = Mismatch(plant=Parameters(delay=late), assumed=Parameters(delay=late, reach=DRAWN))
+    model, delay = limited_model(name, q, room), 2 * ticks / 100.0
+    gap = Mismatch(plant=Parameters(delay=delay), assumed=Parameters(delay=delay, reach=RANDOM))
     plant = gap.build(robots.load(name), delay=(ticks, ticks))
     spring = {"stiffness": 500.0} if law == "impedance" else {}
     settings = pliant.Settings(
         task="xyz" if model.n == 5 else "xyz rpy",
         axes={"y": pliant.Axis(soft=cap, firm=cap, **spring)},
         law=law,
-        delay=late,
+        delay=delay,
         **NO_RATE_LIMITS,
     )
     controller = pliant.Controller(model, settings)
@@ -60,18 +60,18 @@ def beyond_the_limit(name, cap, ticks, law="cap"):
 @pytest.mark.parametrize("name", ARMS)
 def test_a_soft_axis_does_not_drive_a_joint_out_of_its_limits(name, ticks):
     for cap in ARMS[name][1]:
-        most, _, ringing = beyond_the_limit(name, cap, ticks)
-        assert most < ARMS[name][2]  # measured 0.017
-        assert ringing < 1e-3
+        largest, _, oscillation = excursions(name, cap, ticks)
+        assert largest < ARMS[name][2]  # measured 0.017
+        assert oscillation < 1e-3
 
 
-def test_nor_under_law_impedance():
-    most, _, _ = beyond_the_limit("arm7", 20.0, 0, law="impedance")
-    assert most < 0.02
+def test_a_soft_axis_of_law_impedance_does_not_either():
+    largest, _, _ = excursions("arm7", 20.0, 0, law="impedance")
+    assert largest < 0.02
 
 
 def test_gravity_is_carried_at_a_limit():
-    """A joint at its limit stays there, whichever direction its weight pulls."""
+    """A joint at its limit stays there, also if its weight pulls it away."""
     name, q = "arm7", ARMS["arm7"][0]
     model = robots.load(name)
     weight = model.gravity(q)
@@ -94,6 +94,6 @@ def test_gravity_is_carried_at_a_limit():
 @pytest.mark.parametrize(("name", "pose"), [("arm7", 0), ("arm7", 2), ("so101", 3), ("koch", 2)])
 def test_an_arm_beside_its_stops_comes_to_rest_after_a_push(name, pose, ticks):
     """The arm neither oscillates nor drifts after the release."""
-    rest = joint_limit_rest.Job(name, pose, ticks).run()
-    assert rest.moves[1] < 4e-3  # within a second, 8 s after release
-    assert rest.turns[1] == 0
+    result = joint_limit_rest.Job(name, pose, ticks).run()
+    assert result.moves[1] < 4e-3  # within a second, 8 s after release
+    assert result.turns[1] == 0

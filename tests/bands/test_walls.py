@@ -1,4 +1,4 @@
-"""Motion into a wall with the default law, whose cap on the axis of contact is 15 N."""
+"""Motion into a wall with the default law and a cap of 15 N along the direction of contact."""
 
 import pytest
 
@@ -9,8 +9,8 @@ from experiments import controllers, disturbances
 @pytest.mark.parametrize("stiffness", disturbances.STIFFNESSES)
 @pytest.mark.parametrize("direction", disturbances.DIRECTIONS)
 def test_cap_bounds_the_bump(direction, stiffness, speed):
-    seen = disturbances.bump(controllers.cap, direction, speed=speed, stiffness=stiffness)
-    assert seen.mass == pytest.approx({"+x": 1.72, "+y": 0.54, "-z": 0.48}[direction], rel=0.01)
-    assert seen.peak <= seen.allowed  # [N]; the measured peak is 2.8 N less
-    assert seen.later < 23.0  # [N], measured 18.9
-    assert 11.5 <= seen.final <= 18.0  # [N], measured 13.7-15.2
+    result = disturbances.bump(controllers.cap, direction, speed=speed, stiffness=stiffness)
+    assert result.mass == pytest.approx({"+x": 1.72, "+y": 0.54, "-z": 0.48}[direction], rel=0.01)
+    assert result.peak <= result.allowed  # [N]; the measured peak is 2.8 N less
+    assert result.later < 23.0  # [N], measured 18.9
+    assert 11.5 <= result.final <= 18.0  # [N], measured 13.7-15.2

@@ -1,4 +1,4 @@
-"""Commands on an emulated bus: no imports between two ticks, and complete files after Ctrl-C."""
+"""Commands on an emulated bus: no imports between ticks, and complete files after Ctrl-C."""
 
 import json
 import os
@@ -11,7 +11,7 @@ import programs
 import pytest
 from bare_arm import left_enabled
 from programs import Program
-from teach.test_teach import was_led
+from teach.test_teach import assert_scripted_motion
 
 pytest.importorskip("mujoco", reason="these commands drive an emulated arm: extra sim")
 pytest.importorskip("rustypot")
@@ -50,25 +50,25 @@ print(json.dumps([code, sorted(loaded)]))
 """
 
 
-def run_alone(*words):
+def run_alone(*arguments):
     return subprocess.run(
-        [sys.executable, *words], capture_output=True, text=True, timeout=120, check=False
+        [sys.executable, *arguments], capture_output=True, text=True, timeout=120, check=False
     )
 
 
 @pytest.fixture
 def command(tmp_path):
-    """Run a command over an emulated SO-101 that stays enabled."""
+    """Return a function that runs a command on an emulated SO-101 that keeps its torque at exit."""
     arm = left_enabled(tmp_path)
 
-    def run(name, *flags, each="pass", backend="emulator"):
-        words = (name, arm, *flags, "--backend", backend)
-        # Use a new process: an import between ticks shows only if the module is not loaded yet.
+    def run(name, *flags, statement="pass", backend="emulator"):
+        arguments = (name, arm, *flags, "--backend", backend)
+        # A new process: only there an import between ticks is visible.
         start = run_alone if backend == "emulator" else programs.run
-        done = start("-c", PROGRAM.replace("{each}", each), *words)
-        assert done.stdout, done.stderr
-        code, loaded = json.loads(done.stdout.splitlines()[-1])
-        return code, loaded, done
+        result = start("-c", PROGRAM.replace("{each}", statement), *arguments)
+        assert result.stdout, result.stderr
+        code, modules = json.loads(result.stdout.splitlines()[-1])
+        return code, modules, result
 
     return run
 
@@ -91,35 +91,35 @@ def test_nothing_is_loaded_between_two_ticks(command, tmp_path, name):
         "run": ["--duration", "1"],
         "replay": [moved(tmp_path / "r.json")],
     }
-    code, loaded, done = command(name, *flags[name])
-    assert code == 0, done.stderr
-    assert not loaded
+    code, modules, result = command(name, *flags[name])
+    assert code == 0, result.stderr
+    assert not modules
     if name == "teach":
-        assert "pliant replay" in done.stdout
-        was_led(flags[name][0])
+        assert "pliant replay" in result.stdout
+        assert_scripted_motion(flags[name][0])
 
 
 def test_a_recording_outlives_ctrl_c(command, tmp_path):
     file = tmp_path / "m.json"
-    each = (
+    statement = (
         "recorded and (recorded.append(1), "
         "len(recorded) == 300 and os.kill(os.getpid(), signal.SIGINT))"
     )
-    code, _, done = command("teach", str(file), "--scripted-hand", each=each, backend="sim")
-    assert code == 130, done.stderr
+    code, _, result = command("teach", str(file), "--scripted-hand", each=statement, backend="sim")
+    assert code == 130, result.stderr
     motion = Motion.load(file)
     assert 0.5 < motion.duration < 4.0
-    assert f"{file}: " in done.stdout
-    assert "a rest of 3 s ends the recording" in done.stdout
+    assert f"{file}: " in result.stdout
+    assert "a rest of 3 s ends the recording" in result.stdout
 
 
 @pytest.mark.parametrize(("name", "code"), [("SIGINT", 130), ("SIGTERM", 143), ("SIGHUP", 129)])
 def test_a_run_that_a_signal_ends_has_its_summary_and_code(command, name, code):
-    each = f"if tick.index == 20: os.kill(os.getpid(), signal.{name})"
-    left, _, done = command("run", each=each, backend="sim")
-    assert left == code, done.stderr
-    assert "ticks, late by" in done.stdout
-    assert "torque ON" in done.stderr
+    statement = f"if tick.index == 20: os.kill(os.getpid(), signal.{name})"
+    exit_code, _, result = command("run", each=statement, backend="sim")
+    assert exit_code == code, result.stderr
+    assert "ticks, late by" in result.stdout
+    assert "torque ON" in result.stderr
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="signals of POSIX")

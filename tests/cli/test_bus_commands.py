@@ -25,7 +25,7 @@ MODELS = ("XM430-W350",) * 3 + ("XL430-W250",) * 3
 
 @pytest.fixture
 def arm(tmp_path):
-    """Return servos with factory settings on an emulated bus, and their arm's file."""
+    """Yield emulated servos with factory settings, and the configuration file of their arm."""
     devices = [Device(model, id=i) for i, model in enumerate(MODELS, 1)]
     with Emulator(devices) as bus:
         file = tmp_path / "arm.toml"
@@ -56,8 +56,8 @@ def test_setup_asks_again_where_a_packet_is_lost(arm, tmp_path, kind, capsys):
             bus.faults.inject(kind, number, skip=skip)
     backup = tmp_path / "old.json"
     assert main(["servos", "setup", str(file), "--backup", str(backup), "--yes"]) == 0
-    asked = [fault for packet in bus.log for fault in packet.faults]
-    assert len(asked) >= 12, "packets were lost"
+    requests = [fault for packet in bus.log for fault in packet.faults]
+    assert len(requests) >= 12, "packets were lost"
     count = len(json.loads(backup.read_text())["changes"])
     assert f"{count} registers written and read back" in capsys.readouterr().out
     assert main(["servos", "setup", str(file)]) == 0
@@ -74,9 +74,9 @@ def test_setup_shows_asks_writes_and_undoes(arm, tmp_path, capsys, monkeypatch):
     assert not backup.exists()
 
     assert main([*flags, "--yes"]) == 0
-    written = {(w.id, w.address) for w in bus.log.eeprom_writes()}
-    assert {(i, 9) for i in range(1, 7)} <= written, "return delay of every servo"
-    assert {(i, 11) for i in (1, 2, 3)} <= written, "operating mode of the current-limited"
+    registers = {(w.id, w.address) for w in bus.log.eeprom_writes()}
+    assert {(i, 9) for i in range(1, 7)} <= registers, "return delay of every servo"
+    assert {(i, 11) for i in (1, 2, 3)} <= registers, "operating mode of the current-limited"
     old = json.loads(backup.read_text())
     assert old["arm"] == str(file)
     old = old["changes"]
@@ -112,18 +112,18 @@ def test_setup_reports_a_missing_backup(arm, tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    "words",
+    "arguments",
     [
         ["servos", "setup", "so101", "--undo", "nope.json"],
         ["run", "so101", "--backend", "sim", "--targets", "nope.json"],
     ],
 )
 def test_a_missing_file_comes_before_ports_and_names_those_there_are(
-    words, tmp_path, capsys, monkeypatch
+    arguments, tmp_path, capsys, monkeypatch
 ):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "other.json").write_text("")
-    assert main(words) == 2
+    assert main(arguments) == 2
     assert "there is no file nope.json; there are other.json" in capsys.readouterr().err
 
 
@@ -141,7 +141,7 @@ def test_setup_leaves_servos_with_torque_alone(arm, capsys):
     assert all(w.id != 2 for w in bus.log.eeprom_writes()[before:])
 
 
-def test_doctor_finds_what_setup_mends(arm, capsys):
+def test_doctor_finds_settings_that_setup_repairs(arm, capsys):
     bus, file = arm
     assert main(["servos", "doctor", str(file)]) == 2
     out = " ".join(capsys.readouterr().out.split())
@@ -165,10 +165,10 @@ def test_run_on_the_simulator_lowers_the_arm(capsys):
     assert "100 ticks" in capsys.readouterr().out
 
 
-def test_soft_axes_that_the_task_has_not_are_answered_with_its_own(capsys):
+def test_an_unknown_soft_axis_gets_the_axes_of_the_task(capsys):
     assert main(["run", "so101", "--backend", "sim", "--soft", "y yaw"]) == 2
-    said = capsys.readouterr().err
-    assert "--soft 'yaw': yaw is not an axis of the task, which has x, y, z; task in" in said
+    stderr = capsys.readouterr().err
+    assert "--soft 'yaw': yaw is not an axis of the task, which has x, y, z; task in" in stderr
 
 
 def test_run_follows_a_file(tmp_path, capsys):
@@ -178,8 +178,8 @@ def test_run_follows_a_file(tmp_path, capsys):
     assert "250 ticks" in capsys.readouterr().out
 
 
-#: Model and EEPROM values for which opening the bus fails with the remedy `pliant servos setup`.
-MENDABLE = [
+#: Models and EEPROM values with which `open` fails and names the remedy `pliant servos setup`.
+REPAIRABLE = [
     ("XM430-W350", {"operating_mode": 3}),
     ("XM430-W350", {"operating_mode": 5, "drive_mode": 0b10}),
     ("XM430-W350", {"operating_mode": 5, "drive_mode": 0b100}),
@@ -207,8 +207,8 @@ def write_arm(file, bus, model):
     return table
 
 
-@pytest.mark.parametrize(("model", "registers"), MENDABLE)
-def test_what_opening_names_setup_for_setup_mends_and_undoes(model, registers, tmp_path, capsys):
+@pytest.mark.parametrize(("model", "registers"), REPAIRABLE)
+def test_setup_repairs_and_restores_what_open_rejects(model, registers, tmp_path, capsys):
     from pliant import ServoError
     from pliant.servo import ServoBus, ServoSpec
 
@@ -216,14 +216,14 @@ def test_what_opening_names_setup_for_setup_mends_and_undoes(model, registers, t
     with Emulator([Device(model, id=i, **registers) for i in range(1, 6)]) as bus:
         table = write_arm(file, bus, model)
         before = [bytes(servo.stored) for servo in bus.servos]
-        chain = ServoBus(
+        servo_bus = ServoBus(
             [ServoSpec(name=n, model=table, id=i, port=bus.port) for i, n in enumerate(JOINTS, 1)]
         )
         with pytest.raises(ServoError, match="`pliant servos setup`"):
-            chain.open()
+            servo_bus.open()
         assert main(["servos", "setup", str(file), "--yes", "--backup", str(backup)]) == 0
-        chain.open()
-        chain.close()
+        servo_bus.open()
+        servo_bus.close()
         assert main(["servos", "setup", str(file), "--yes", "--undo", str(backup)]) == 0
         assert [bytes(servo.stored) for servo in bus.servos] == before
 
@@ -234,7 +234,7 @@ def test_a_servo_gets_an_id_of_its_own(model, tmp_path, capsys, monkeypatch):
     with Emulator([Device(model, id=1), Device(model, id=2)]) as bus:
         write_arm(file, bus, model)
         setup = ["servos", "setup", str(file), "--set-id"]
-        for pair, said in [
+        for pair, message in [
             ("1", "OLD:NEW"),
             ("1:1", "the same"),
             ("1:77", "id 77 is not that of one joint"),
@@ -242,7 +242,7 @@ def test_a_servo_gets_an_id_of_its_own(model, tmp_path, capsys, monkeypatch):
             ("9:5", "no answer"),
         ]:
             assert main([*setup, pair, "--yes"]) == 2
-            assert said in capsys.readouterr().err
+            assert message in capsys.readouterr().err
         monkeypatch.setattr("builtins.input", lambda *_: "n")
         assert main([*setup, "1:5"]) == 1
         assert not bus.log.eeprom_writes()

@@ -26,7 +26,7 @@ EXPERIMENTS = set(GROUPS.get("experiments", {}))
 
 
 def arguments(command):
-    """Return arguments of a command, flags by name and positional ones by placeholder."""
+    """Return the arguments of a command: flags by name, positional arguments by placeholder."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
         parser = tyro.extras.get_parser(
@@ -40,19 +40,19 @@ def arguments(command):
 
 
 def meaning(action):
-    """Return placeholder and first sentence of the help, without the default."""
+    """Return placeholder and first sentence of the help of an argument, without the default."""
     text = re.sub(r"\s*\((default: .*|required)\)\s*$", "", action.help or "")
     return str(action.metavar), re.split(r"(?<=[^.])\.(?:\s|$)", text)[0].strip()
 
 
 def test_a_flag_means_the_same_everywhere():
-    found = defaultdict(dict)
+    meanings = defaultdict(dict)
     for command in COMMANDS.keys() - EXPERIMENTS:
         for name, action in arguments(command):
-            found[name].setdefault(meaning(action), []).append(command)
+            meanings[name].setdefault(meaning(action), []).append(command)
     shared = {"ARM", "LOG", "--backend", "--port", "--soft", "--duration", "--output", "--log"}
-    assert shared <= {name for name, known in found.items() if sum(map(len, known.values())) > 1}
-    assert {name: known for name, known in found.items() if len(known) > 1} == {}
+    assert shared <= {name for name, known in meanings.items() if sum(map(len, known.values())) > 1}
+    assert {name: known for name, known in meanings.items() if len(known) > 1} == {}
 
 
 def test_a_port_is_a_serial_port_and_a_page_has_another_flag():
@@ -83,7 +83,7 @@ def test_a_first_word_alone_lists_its_commands(prefix, flags, capsys):
 
 
 @pytest.mark.parametrize(
-    ("words", "meant"),
+    ("argv", "suggestion"),
     [
         ("doctor so101", "servos doctor"),
         ("scna", "servos scan"),
@@ -93,11 +93,11 @@ def test_a_first_word_alone_lists_its_commands(prefix, flags, capsys):
         ("reply so101 wave.json", "replay"),
     ],
 )
-def test_an_unknown_command_gets_a_suggestion(words, meant, capsys):
-    assert main(words.split()) == 2
+def test_an_unknown_command_gets_a_suggestion(argv, suggestion, capsys):
+    assert main(argv.split()) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1
-    assert f"did you mean `pliant {meant}`?" in error
+    assert f"did you mean `pliant {suggestion}`?" in error
 
 
 def test_arms_lists_the_ready_arms(capsys):
@@ -123,8 +123,8 @@ def test_an_arm_that_is_not_ready_gets_a_suggestion(capsys):
     assert "vx300s" in error
 
 
-def pasted(lines):
-    """Return the lines that `pliant identify` prints for the file, as TOML."""
+def parse_printed(lines):
+    """Parse the TOML lines that `pliant identify` prints for the configuration file."""
     return tomllib.loads(lines.partition("\n\n")[2])
 
 
@@ -139,18 +139,18 @@ def so101(tmp_path, capsys):
 
 def test_identify_gravity_moves_nothing_and_lowers_the_arm(so101, capsys, caplog):
     assert main(["identify", str(so101), "gravity", "--backend", "sim"]) == 0
-    caught = capsys.readouterr()
-    assert "do not touch the arm" in caught.out
-    assert "the check passed" in caught.out
-    assert pasted(caught.out) == {}
+    captured = capsys.readouterr()
+    assert "do not touch the arm" in captured.out
+    assert "the check passed" in captured.out
+    assert parse_printed(captured.out) == {}
     assert "was lowered" in caplog.text
 
 
 def test_identify_payload_prints_what_the_tool_carries(capsys, caplog):
     assert main(["identify", "so101", "payload", "--backend", "sim", "--span", "0.2"]) == 0
-    caught = capsys.readouterr()
-    assert "payload" in caught.out
-    assert set(pasted(caught.out)) <= {"payload"}
+    captured = capsys.readouterr()
+    assert "payload" in captured.out
+    assert set(parse_printed(captured.out)) <= {"payload"}
     assert "was lowered" in caplog.text
 
 
@@ -158,10 +158,10 @@ def test_identify_payload_prints_what_the_tool_carries(capsys, caplog):
 def test_identify_servos_prints_a_table_for_the_file(so101, capsys):
     assert main(["identify", str(so101), "servos", "--backend", "sim"]) == 0
     out = capsys.readouterr().out
-    servo = pasted(out)["servo"]
+    servo = parse_printed(out)["servo"]
     text = so101.read_text(encoding="utf-8")
-    head, _, rest = text.partition("[servo]")
-    gripper = "[gripper]" + rest.partition("[gripper]")[2]
+    head, _, tail = text.partition("[servo]")
+    gripper = "[gripper]" + tail.partition("[gripper]")[2]
     lines = out.partition("[servo]\n")[2].partition("\n\n")[0]
     so101.write_text(f"{head}[servo]\n{lines}\n\n{gripper}", encoding="utf-8")
     model = config.load(str(so101)).model()
@@ -219,17 +219,17 @@ def test_only_an_identified_stiffness_is_written(so101, monkeypatch, unsure):
 
 
 @pytest.mark.parametrize(
-    ("flags", "said"),
+    ("flags", "message"),
     [
         (["gravity", "--span", "0.1"], "--span belongs to servos and payload"),
         (["friction"], "invalid choice"),
         (["servos", "--span", "9"], "span"),
     ],
 )
-def test_identify_refuses_before_torque_comes_on(flags, said, capsys):
+def test_identify_refuses_before_torque_comes_on(flags, message, capsys):
     assert main(["identify", "so101", *flags, "--backend", "sim"]) == 2
-    caught = capsys.readouterr()
-    assert said in caught.err
+    captured = capsys.readouterr()
+    assert message in captured.err
 
 
 @pytest.mark.parametrize("arm", ["vx300s", "mine.toml"])

@@ -1,4 +1,4 @@
-"""`pliant servos doctor` finds errors of a file that would otherwise appear on the arm."""
+"""`pliant servos doctor` finds errors in a configuration before they affect the arm."""
 
 import os
 import re
@@ -16,8 +16,8 @@ from pliant.config.factory import make_emulator
 
 
 def findings(text, folder, level="bad"):
-    read = config.parse(text, source="arm.toml", folder=folder)
-    return {f.about: f.text for f in examine(read) if f.level == level}
+    arm_config = config.parse(text, source="arm.toml", folder=folder)
+    return {f.about: f.text for f in examine(arm_config) if f.level == level}
 
 
 def so101_of(urdf):
@@ -36,10 +36,10 @@ def test_a_urdf_with_masses_in_grams_is_not_ready(factor, is_bad, tmp_path):
     text = files("pliant.robots").joinpath("so101_like.urdf").read_text("utf-8")
     heavy = re.sub(r'mass value="([\d.]+)"', lambda m: f'mass value="{factor * float(m[1])}"', text)
     (tmp_path / "arm.urdf").write_text(heavy, "utf-8")
-    bad = findings(so101_of("arm.urdf"), tmp_path)
-    assert ("model" in bad) == is_bad
+    messages = findings(so101_of("arm.urdf"), tmp_path)
+    assert ("model" in messages) == is_bad
     if is_bad:
-        assert "gravity takes all the torque" in bad["model"]
+        assert "gravity takes all the torque" in messages["model"]
     notes = findings(so101_of("arm.urdf"), tmp_path, "note")
     assert "6 axes on an arm of 5 joints" in notes["settings"]
     assert "settings" not in findings(
@@ -52,25 +52,25 @@ def test_a_rest_pose_inside_the_table_is_bad(tmp_path):
         'urdf = "arm.urdf"\nbase = "base"\ntip = "tool"', 'builtin = "so101"\ntable = 0.0'
     )
     assert findings(text + "[life]\nrest_q = [0, 0, 0, 0, 0]\n", tmp_path) == {}
-    bad = findings(text + "[life]\nrest_q = [0, 1.5, 1.2, 0, 0]\n", tmp_path)
-    assert "inside the table" in bad["rest pose"]
+    messages = findings(text + "[life]\nrest_q = [0, 1.5, 1.2, 0, 0]\n", tmp_path)
+    assert "inside the table" in messages["rest pose"]
 
 
-def test_a_gain_that_the_servo_has_not_is_said():
+def test_a_gain_that_differs_from_the_servo_is_reported():
     with make_emulator(config.load("so101", backend="emulator"), clock="steps") as bus:
-        read = config.load("so101", port=bus.port)
-        chain = factory.make_bus(read, {"main": bus.port})
-        chain.open()
+        arm_config = config.load("so101", port=bus.port)
+        servo_bus = factory.make_bus(arm_config, {"main": bus.port})
+        servo_bus.open()
         try:
-            assert chain.gains == dict.fromkeys(chain.names, 16)
+            assert servo_bus.gains == dict.fromkeys(servo_bus.names, 16)
         finally:
-            chain.close()
+            servo_bus.close()
     text = config.loader.builtin_text("so101").replace("id = 2, gain = 16", "id = 2, gain = 32")
     with make_emulator(config.parse(f'backend = "emulator"\n{text}')) as bus:
-        read = config.load("so101", port=bus.port)
-        said = {f.about: f.text for f in examine(read) if f.level == "note"}
-    assert said["shoulder_lift"].startswith("its P gain is 32, the file says 16")
-    assert "shoulder_pan" not in said
+        arm_config = config.load("so101", port=bus.port)
+        notes = {f.about: f.text for f in examine(arm_config) if f.level == "note"}
+    assert notes["shoulder_lift"].startswith("its P gain is 32, the file says 16")
+    assert "shoulder_pan" not in notes
 
 
 def test_the_watch_ends_with_a_rest_pose_to_paste(capsys):
@@ -101,7 +101,7 @@ def test_a_calibration_that_is_a_folder_cannot_be_read(tmp_path):
         config.read_calibration(tmp_path)
 
 
-def test_mistakes_stand_one_to_a_line(tmp_path, capsys):
+def test_every_mistake_has_its_own_line(tmp_path, capsys):
     file = tmp_path / "arm.toml"
     file.write_text(
         'bakend = 1\n[robot]\nbuiltin = "so101"\n[loop]\nrate = -1\ncomm_timeout = 99\n'
@@ -113,16 +113,16 @@ def test_mistakes_stand_one_to_a_line(tmp_path, capsys):
     assert all(len(line) < 200 for line in lines)
 
 
-@pytest.mark.parametrize(("count", "said"), [(1, "1 problem to fix"), (2, "2 problems to fix")])
-def test_it_ends_with_the_number_of_problems(count, said, monkeypatch, capsys):
-    found = [Diagnosis("bad", "servo", "it is not there")] * count
-    monkeypatch.setattr(doctor, "examine", lambda _: [Diagnosis("good", "file", "read"), *found])
+@pytest.mark.parametrize(("count", "message"), [(1, "1 problem to fix"), (2, "2 problems to fix")])
+def test_it_ends_with_the_number_of_problems(count, message, monkeypatch, capsys):
+    problems = [Diagnosis("bad", "servo", "it is not there")] * count
+    monkeypatch.setattr(doctor, "examine", lambda _: [Diagnosis("good", "file", "read"), *problems])
     assert main(["servos", "doctor", "so101", "--backend", "sim"]) == 2
-    assert capsys.readouterr().err == f"error: not ready: {said}\n"
+    assert capsys.readouterr().err == f"error: not ready: {message}\n"
 
 
 @pytest.mark.parametrize(
-    ("supply", "said"),
+    ("supply", "message"),
     [
         (
             "voltage = 11.1",
@@ -131,12 +131,12 @@ def test_it_ends_with_the_number_of_problems(count, said, monkeypatch, capsys):
         ("current = 4.0", "supply.current: the currents of .*STS3215-7.4V.*; leave it out"),
     ],
 )
-def test_a_supply_that_does_not_fit_the_servos_is_named(supply, said, tmp_path, capsys):
+def test_a_supply_that_does_not_fit_the_servos_is_named(supply, message, tmp_path, capsys):
     name = "koch" if "voltage" in supply else "so100"
     text = re.sub(r"(?s)\[supply\]\n.*?\n\n", "", config.loader.builtin_text(name))
     file = tmp_path / "arm.toml"
     file.write_text(f"{text}\n[supply]\n{supply}\n")
     assert main(["servos", "doctor", str(file)]) == 2
-    assert re.search(said, " ".join(capsys.readouterr().err.split()))
+    assert re.search(message, " ".join(capsys.readouterr().err.split()))
     if "current" in supply:
         assert config.load(file, backend="sim").supply.current == 4.0

@@ -18,67 +18,76 @@ JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_ro
 HEAD = 'robot.builtin = "so101"\nsettings.task = "xyz"\n[[port]]\npath = "{port}"\n[servo]\n'
 
 
-def toml(port, *, joints=JOINTS, model="STS3215-7.4V", more=""):
+def toml(port, *, joints=JOINTS, model="STS3215-7.4V", extra=""):
     lines = [f'{name} = {{ model = "{model}", id = {i} }}' for i, name in enumerate(joints, 1)]
-    return HEAD.format(port=port) + "\n".join(lines) + "\n" + more
+    return HEAD.format(port=port) + "\n".join(lines) + "\n" + extra
 
 
 @pytest.fixture
-def said(tmp_path, capsys):
-    """Return the messages of `run`, `servos doctor` and `connect` about a file as one text."""
+def error_texts(tmp_path, capsys):
+    """Return a function that returns the errors of three commands for a configuration text."""
 
     def ask(text):
         file = tmp_path / "arm.toml"
         file.write_text(text)
         capsys.readouterr()
         assert main(["run", str(file), "--quiet", "--duration", "1"]) == 2
-        error = capsys.readouterr().err
-        assert "Traceback" not in error
+        run_error = capsys.readouterr().err
+        assert "Traceback" not in run_error
         assert main(["servos", "doctor", str(file)]) == 2
-        both = capsys.readouterr()
+        doctor = capsys.readouterr()
         with (
-            pytest.raises(pliant.PliantError) as caught,
+            pytest.raises(pliant.PliantError) as error,
             pliant.connect(file, handle_signals=False),
         ):
             pass
-        return [" ".join(text.split()) for text in (error, both.out + both.err, str(caught.value))]
+        return [
+            " ".join(text.split())
+            for text in (run_error, doctor.out + doctor.err, str(error.value))
+        ]
 
     return ask
 
 
-def all_say(texts, *words):
+def all_say(texts, *fragments):
     for text in texts:
-        for word in words:
-            assert word in text, text
+        for fragment in fragments:
+            assert fragment in text, text
 
 
 def servos(*ids, **registers):
     return [Device("STS3215", id=i, **registers) for i in ids]
 
 
-def test_wrong_port(said):
-    all_say(said(toml("/dev/ttyNOWHERE7")), "there is no port /dev/ttyNOWHERE7", "there are:")
+def test_wrong_port(error_texts):
+    all_say(
+        error_texts(toml("/dev/ttyNOWHERE7")), "there is no port /dev/ttyNOWHERE7", "there are:"
+    )
 
 
-def test_no_permission(said, monkeypatch):
+def test_no_permission(error_texts, monkeypatch):
     def refuse(*_):
         raise OSError("Permission denied")
 
     monkeypatch.setattr(rustypot, "MxPyController", refuse)
-    all_say(said(toml("/dev/ttyUSB3")), "no permission to open /dev/ttyUSB3", "usermod -aG dialout")
+    all_say(
+        error_texts(toml("/dev/ttyUSB3")),
+        "no permission to open /dev/ttyUSB3",
+        "usermod -aG dialout",
+    )
 
 
-def test_port_in_use(said):
+def test_port_in_use(error_texts):
     with Emulator(servos(1, 2, 3, 4, 5)) as bus:
         other = rustypot.MxPyController(bus.port, 1_000_000, 0.1)
-        all_say(said(toml(bus.port)), "is in use by another program", "close it")
+        all_say(error_texts(toml(bus.port)), "is in use by another program", "close it")
         other.close()
 
 
-def test_wrong_baud(said):
+def test_wrong_baud(error_texts):
     with Emulator(servos(1, 2, 3, 4, 5), baud=115_200) as bus:
         all_say(
-            said(toml(bus.port)),
+            error_texts(toml(bus.port)),
             "no servo answers",
             "baud rate",
             "`pliant servos scan`",
@@ -86,29 +95,29 @@ def test_wrong_baud(said):
         )
 
 
-def test_missing_id(said):
+def test_missing_id(error_texts):
     with Emulator(servos(1, 2, 4, 5, 9)) as bus:
-        texts = said(toml(bus.port))
+        texts = error_texts(toml(bus.port))
     all_say(texts, "no answer", "elbow_flex (id 3)", "ids that answer: 1, 2, 4, 5, 9", "plug")
 
 
-def test_two_servos_on_one_id(said):
+def test_two_servos_on_one_id(error_texts):
     with Emulator(servos(1, 2, 3, 3, 4, 5)) as bus:
-        all_say(said(toml(bus.port)), "elbow_flex", "Two servos on one id", "one by one")
+        all_say(error_texts(toml(bus.port)), "elbow_flex", "Two servos on one id", "one by one")
 
 
 def test_new_servos_that_all_have_one_id_are_seen_by_scan(capsys):
     with Emulator(servos(1, 1, 1, 2)) as bus:
         assert main(["servos", "scan", "--port", bus.port, "--baud", "1000000"]) == 0
-    said = " ".join(capsys.readouterr().out.split())
-    assert "two servos on this id?" in said
-    assert "`pliant servos setup ARM --set-id OLD:NEW`" in said
+    output = " ".join(capsys.readouterr().out.split())
+    assert "two servos on this id?" in output
+    assert "`pliant servos setup ARM --set-id OLD:NEW`" in output
 
 
-def test_a_low_voltage_servo_on_12_volts(said):
+def test_a_low_voltage_servo_on_12_volts(error_texts):
     with Emulator(servos(1, 2, 3, 4, 5)) as bus:
         bus.supply(12.0)
-        texts = said(toml(bus.port))
+        texts = error_texts(toml(bus.port))
     all_say(texts, "its supply is 12.0 V", "STS3215-7.4V takes", "wrong supply", "another variant")
     # The message appears once for all five servos.
     assert texts[0].count("wrong supply") == 1
@@ -136,12 +145,12 @@ def test_a_motion_is_no_calibration(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("rate", ["-1", "333"])
-def test_a_rate_that_cannot_be_is_said_before_there_is_a_link(rate, capsys):
+def test_an_invalid_rate_is_reported_before_a_link_is_printed(rate, capsys):
     pytest.importorskip("mjviser", reason="the page needs the extra view")
     assert main(["view", "--rate", rate]) == 2
-    both = capsys.readouterr()
-    assert "http" not in both.out
-    assert rate.lstrip("-") in both.err
+    captured = capsys.readouterr()
+    assert "http" not in captured.out
+    assert rate.lstrip("-") in captured.err
 
 
 @pytest.mark.parametrize("page", ["0", "-1", "99999999"])
@@ -157,8 +166,8 @@ def test_an_emulator_without_a_duration_that_can_be_is_refused(duration, capsys)
 
 
 def test_an_emulator_that_is_ended_leaves_nothing(tmp_path):
-    place = {**os.environ, "TMPDIR": str(tmp_path)}
-    with Program("-m", "pliant.cli", "servos", "emulate", "so101", env=place) as running:
+    environment = {**os.environ, "TMPDIR": str(tmp_path)}
+    with Program("-m", "pliant.cli", "servos", "emulate", "so101", env=environment) as running:
         assert "tty-main" in running.stdout.readline()
         assert list(tmp_path.iterdir())
         running.send_signal(signal.SIGTERM)
@@ -168,32 +177,32 @@ def test_an_emulator_that_is_ended_leaves_nothing(tmp_path):
 
 def test_the_emulator_starts_first_and_reports_late_replies(monkeypatch, capsys):
     pytest.importorskip("mujoco", reason="the arm behind the bytes needs the extra sim")
-    asked = []
-    monkeypatch.setattr(os, "nice", asked.append)
-    late = iter([0.001, 0.150, 0.160, *[0.350] * 1000])
-    monkeypatch.setattr(Emulator, "max_latency", property(lambda _: next(late)))
+    requests = []
+    monkeypatch.setattr(os, "nice", requests.append)
+    latencies = iter([0.001, 0.150, 0.160, *[0.350] * 1000])
+    monkeypatch.setattr(Emulator, "max_latency", property(lambda _: next(latencies)))
     assert main(["servos", "emulate", "so101", "--duration", "1"]) == 0
-    assert asked == [-10]
+    assert requests == [-10]
     out = " ".join(capsys.readouterr().out.split())
     assert "a reply was sent 150 ms late" in out
     assert "a reply was sent 350 ms late" in out
     assert out.count("this computer is busy") == 2
 
 
-def test_another_model(said):
+def test_another_model(error_texts):
     with Emulator(servos(1, 2, 3, 4, 5)) as bus:
-        texts = said(toml(bus.port, model="MX-28"))
+        texts = error_texts(toml(bus.port, model="MX-28"))
     all_say(texts, "it is no MX-28", "`pliant servos scan`", "the configuration says MX-28")
 
 
-def test_a_typo_in_the_file(said, tmp_path):
+def test_a_typo_in_the_file(error_texts, tmp_path):
     typo = toml("/dev/ttyUSB0").replace("[[port]]", "[[prot]]").replace('"so101"', '"so101"')
     with pytest.raises(pliant.ConfigError, match="prot is not a key here; did you mean 'port'"):
         pliant.config.parse(typo)
     file = tmp_path / "typo.toml"
     file.write_text(typo)
-    for words in (["run", str(file)], ["servos", "doctor", str(file)]):
-        assert main(words) == 2
+    for argv in (["run", str(file)], ["servos", "doctor", str(file)]):
+        assert main(argv) == 2
 
 
 def test_a_typo_in_a_model_or_unit(tmp_path, capsys):
@@ -201,19 +210,19 @@ def test_a_typo_in_a_model_or_unit(tmp_path, capsys):
     file.write_text(toml("/dev/x", model="STS3512-7.4V"))
     assert main(["run", str(file)]) == 2
     assert "STS3215-7.4V" in capsys.readouterr().err
-    file.write_text(toml("/dev/x", more="[loop]\nrate = -5\n"))
+    file.write_text(toml("/dev/x", extra="[loop]\nrate = -5\n"))
     assert main(["run", str(file)]) == 2
     assert "loop.rate = -5" in capsys.readouterr().err
 
 
-def test_file_and_urdf_disagree(said):
+def test_file_and_urdf_disagree(error_texts):
     names = ("shoulder_pan", "shoulder_lft", "elbow_flex", "wrist_flex", "wrist_roll")
-    texts = said(toml("/dev/ttyUSB0", joints=names))
+    texts = error_texts(toml("/dev/ttyUSB0", joints=names))
     all_say(texts, "file and URDF disagree", "no servo for shoulder_lift", "shoulder_lft")
     all_say(texts, "The chain has shoulder_pan, shoulder_lift")
 
 
-def test_torque_that_is_on_already_is_said_and_kept(tmp_path, capsys):
+def test_torque_that_is_already_on_is_reported_and_kept(tmp_path, capsys):
     file = tmp_path / "arm.toml"
     with Emulator(servos(1, 2, 3, 4, 5)) as bus:
         file.write_text(toml(bus.port))
@@ -235,7 +244,7 @@ def test_torque_that_is_on_already_is_said_and_kept(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("command", [["run", "--quiet"], ["view", "--http-port", "8943"]])
-def test_settings_that_no_controller_takes_are_said_before_torque(
+def test_invalid_settings_are_reported_before_torque_comes_on(
     command, tmp_path, capsys, monkeypatch
 ):
     monkeypatch.setattr(pliant.arm.Arm, "enable", lambda _: pytest.fail("torque came on"))

@@ -21,7 +21,7 @@ def test_help_starts_without_what_commands_need():
         "import sys, pliant.cli; pliant.cli.main(['--help']); "
         "print([m for m in ('tyro', 'pydantic', 'rich', 'mujoco') if m in sys.modules])"
     )
-    done = subprocess.run(
+    result = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60
     )
-    assert done.stdout.splitlines()[-1] == "[]"
+    assert result.stdout.splitlines()[-1] == "[]"

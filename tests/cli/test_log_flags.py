@@ -6,7 +6,7 @@ from pliant.cli import main
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("arguments", "message"),
     [
         (["export", "--output", "x.csv"], "writes .npz (--parquet writes .parquet), got .csv"),
         (["export", "--output", "x"], "got no suffix"),
@@ -18,10 +18,10 @@ from pliant.cli import main
         (["info", "--output", "x.png"], "Unrecognized options: --output"),
     ],
 )
-def test_flags_that_do_not_go_together(words, said, tmp_path, capsys, monkeypatch):
+def test_flags_that_do_not_go_together(arguments, message, tmp_path, capsys, monkeypatch):
     pytest.importorskip("mcap", reason="logs need the extra log")
     monkeypatch.chdir(tmp_path)
-    verb, *flags = words
+    verb, *flags = arguments
     assert main(["log", verb, "run.mcap", *flags]) == 2
-    assert said in capsys.readouterr().err
+    assert message in capsys.readouterr().err
     assert not list(tmp_path.iterdir())

@@ -1,7 +1,7 @@
-"""The session of `pliant servos doctor --measure`, on emulated servos that no table knows.
+"""The session of `pliant servos doctor --measure` with emulated servos of an unknown model.
 
-The servos are stronger than assumed, and the arm carries a load that the model lacks; the file must
-show both.
+The servos are stronger than assumed, and the arm carries a load that the model lacks; the file of
+measurements must show both.
 """
 
 import getpass
@@ -31,60 +31,61 @@ from pliant.config import factory
 from pliant.emulator import ManualClock, models
 from pliant.sim import Drag, ForceProfile
 
-#: Model number of the unknown servo, its torque over that of the STS3215, and the hidden load [kg].
-NUMBER, STRONGER, LOAD = 2825, 1.3, 0.08
-#: Mass that the person hangs on the tool [kg], and pose with room below the tool [rad].
+#: Model number of the unknown servo, ratio of its torque to that of the STS3215, and load at the
+#: tool that the model lacks [kg].
+NUMBER, TORQUE_RATIO, LOAD = 2825, 1.3, 0.08
+#: Mass that the person hangs on the tool [kg], and start pose, with space below the tool [rad].
 WEIGHT, POSE = 0.1, [0.0, -1.0, 0.7, 0.5, 0.0]
 DOCS = Path(__file__).parents[2] / "docs" / "first_measurements.md"
 
 
 class Person:
-    """Pushes the emulated arm with a scale, hangs a weight on it, and answers.
+    """Simulated person: pushes the arm with a scale, hangs a weight on it, and answers questions.
 
     Attributes:
-        asked: Questions and errors that were shown.
-        skipped: Words of questions that are answered by `skip`.
-        stop: Words of a question at which the person presses Ctrl-C.
+        shown: Questions and errors that were shown.
+        skipped: Parts of the questions that the person answers with `skip`.
+        stop: Part of the question at which the person presses Ctrl-C.
     """
 
     def __init__(self, bus, skipped=(), stop=None):
-        self.bus, self.skipped, self.stop, self.asked = bus, skipped, stop, []
+        self.bus, self.skipped, self.stop, self.shown = bus, skipped, stop, []
         self.scale = []
 
     def say(self, text):
-        self.asked.append(text)
-        self.began, self.acting = self.bus.time, False
+        self.shown.append(text)
+        self.start, self.acting = self.bus.time, False
 
     def discard(self):
         """Do nothing: this person types no answer before the question."""
 
     def line(self):
-        question, plant, time = self.asked[-1], self.bus.plant, self.bus.time - self.began
+        question, plant, time = self.shown[-1], self.bus.plant, self.bus.time - self.start
         if self.stop is not None and self.stop in question:
             raise KeyboardInterrupt
-        if any(words in question for words in self.skipped):
+        if any(fragment in question for fragment in self.skipped):
             return "skip\n"
         if "torque comes on" in question:
             return "\n"
-        if found := re.search(r"yields along (.).*for (\d+) cm", question):
-            return self.push(plant, found, 1.0 if "+y" in question else -1.0, time)
+        if match := re.search(r"yields along (.).*for (\d+) cm", question):
+            return self.push(plant, match, 1.0 if "+y" in question else -1.0, time)
         if "weigh a weight" in question:
             if not self.acting:
                 self.acting = True
                 always = ForceProfile(start=0.0, rise=0.0, end=1e9)
-                down = Drag(axis="z", distance=-9.0, limit=WEIGHT * G, damping=0.0, at="tool")
-                plant.set_hands([replace(down, course=always)])
+                hand = Drag(axis="z", distance=-9.0, limit=WEIGHT * G, damping=0.0, at="tool")
+                plant.set_hands([replace(hand, course=always)])
             return f"{WEIGHT * 1e3:.0f}\n" if time > 2.0 else None
         if "take the weight off" in question:
             plant.set_hands([])
         return "\n" if time > 0.2 else None
 
-    def push(self, plant, found, sign, time):
+    def push(self, plant, match, sign, time):
         if not self.acting:
             self.acting, self.scale = True, []
             course = ForceProfile(start=plant.time + 0.5, rise=3.0, end=plant.time + 3.6)
-            way = sign * (float(found[2]) * 0.01 + 0.01)
-            hand = Drag(axis=found[1], distance=way, limit=40.0, at="tool", course=course)
+            distance = sign * (float(match[2]) * 0.01 + 0.01)
+            hand = Drag(axis=match[1], distance=distance, limit=40.0, at="tool", course=course)
             plant.set_hands([hand])
         if 2.5 < time < 3.5:
             self.scale.append(np.abs(plant.hands[0].force).max())
@@ -98,7 +99,7 @@ class Person:
 def arm_of_unknown_servos(monkeypatch, folder, load=LOAD):
     """Yield an emulated SO-101 with unknown servos, its closed arm, and its configuration."""
     known = models.MODELS["STS3215-7.4V"]
-    motor = replace(known.motor, stall=STRONGER * known.motor.stall)
+    motor = replace(known.motor, stall=TORQUE_RATIO * known.motor.stall)
     monkeypatch.setitem(models.MODELS, known.name, replace(known, number=NUMBER, motor=motor))
     text = config.loader.builtin_text("so101").replace(
         "{ model", f"{{ model_number = {NUMBER}, model"
@@ -106,68 +107,77 @@ def arm_of_unknown_servos(monkeypatch, folder, load=LOAD):
     simulated = config.parse(text, backend="emulator", folder=folder)
     payload = {"payload": (load, (0.0, 0.0, 0.0))}
     with factory.make_emulator(simulated, q=POSE, clock="steps", plant=payload) as bus:
-        own = config.parse(text, port=bus.port, folder=folder)
-        drive = factory.make_bus(own.model_copy(update={"loop": patient(own)}), {"main": bus.port})
+        arm_config = config.parse(text, port=bus.port, folder=folder)
+        drive = factory.make_bus(
+            arm_config.model_copy(update={"loop": with_long_timeout(arm_config)}),
+            {"main": bus.port},
+        )
         drive.clock = ManualClock(bus)
         yield (
             bus,
             Arm(
-                own.model(),
+                arm_config.model(),
                 drive,
-                rest_q=own.life.rest_q,
-                table=own.robot.table,
-                grippers=factory.gripper_configs(own),
+                rest_q=arm_config.life.rest_q,
+                table=arm_config.robot.table,
+                grippers=factory.gripper_configs(arm_config),
                 handle_signals=False,
             ),
-            own,
+            arm_config,
         )
 
 
-def patient(own):
-    return own.loop.model_copy(update={"reply_timeout_min": 0.1})
+def with_long_timeout(arm_config):
+    """Return the loop of a configuration, with a reply timeout for a loaded machine."""
+    return arm_config.loop.model_copy(update={"reply_timeout_min": 0.1})
 
 
-def run(bus, arm, own, path, **person):
-    """Run a session; return what the person was asked, and the contents of the file."""
+def run(bus, arm, arm_config, path, **person):
+    """Run a session; return the texts that the person was shown, and the contents of the file."""
     human = Person(bus, **person)
     try:
-        Session(arm, own, Measurements(path), human, human.say).run()
+        Session(arm, arm_config, Measurements(path), human, human.say).run()
     except KeyboardInterrupt:
-        human.asked.append("Ctrl-C")
-    return human.asked, json.loads(path.read_text("utf-8"))
+        human.shown.append("Ctrl-C")
+    return human.shown, json.loads(path.read_text("utf-8"))
 
 
 def is_limp(bus):
+    """Return True if torque is off in all joints."""
     return not any(bus.servo(k).enabled for k in range(1, 6))
 
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory):
-    """Run a session without the identification; return the file, its path and the true k_p."""
+    """Run a session without the identification.
+
+    Returns:
+        Contents of the file, its path, true k_p [N·m/rad], texts that were shown, and the port.
+    """
     folder = tmp_path_factory.mktemp("session")
     path = folder / "arm.json"
     gap = Mismatch(plant=Parameters(payload=LOAD), assumed=Parameters(), compared=("payload",))
     with (
         pytest.MonkeyPatch.context() as patch,
         gap,
-        arm_of_unknown_servos(patch, folder) as (bus, arm, own),
+        arm_of_unknown_servos(patch, folder) as (bus, arm, arm_config),
     ):
-        asked, data = run(bus, arm, own, path, skipped=("swings every joint by 0.1",))
+        texts, data = run(bus, arm, arm_config, path, skipped=("swings every joint by 0.1",))
         assert is_limp(bus)
         bus.servo(2).put("torque_enable", 1)
         true = bus.servo(2).drive().stiffness
-        assert true / arm.servos.kp[1] == pytest.approx(STRONGER, rel=0.05)
-        return data, path, true, asked, bus.port
+        assert true / arm.servos.kp[1] == pytest.approx(TORQUE_RATIO, rel=0.05)
+        return data, path, true, texts, bus.port
 
 
 def test_the_weight_shows_a_wrong_stiffness_and_a_hidden_load(session):
     data, _, true, _, _ = session
     weight = data["steps"]["weight"]
-    clear = [joint for joint in weight["joints"] if joint["kp"] is not None]
-    assert len(clear) >= 3
-    for joint in clear:
+    measured = [joint for joint in weight["joints"] if joint["kp"] is not None]
+    assert len(measured) >= 3
+    for joint in measured:
         assert joint["kp"] == pytest.approx(true, rel=0.08)
-        assert joint["kp_assumed"] == pytest.approx(true / STRONGER, rel=0.05)
+        assert joint["kp_assumed"] == pytest.approx(true / TORQUE_RATIO, rel=0.05)
     assert weight["extra_mass"] == pytest.approx(LOAD, abs=0.01)
 
 
@@ -178,10 +188,10 @@ def test_the_scale_shows_that_the_servos_are_stronger_than_promised(session):
     slope = (pushes[1]["measured"] - pushes[0]["measured"]) / (
         pushes[1]["promised"] - pushes[0]["promised"]
     )
-    assert slope == pytest.approx(STRONGER, rel=0.15)
+    assert slope == pytest.approx(TORQUE_RATIO, rel=0.15)
     for push in pushes:
-        off = push["measured"] - STRONGER * push["promised"]
-        assert abs(off) < 1.5 * push["friction_force"] + 0.3
+        error = push["measured"] - TORQUE_RATIO * push["promised"]
+        assert abs(error) < 1.5 * push["friction_force"] + 0.3
 
 
 def test_the_file_names_servos_latencies_and_the_ending(session):
@@ -197,13 +207,13 @@ def test_the_file_names_servos_latencies_and_the_ending(session):
 
 
 def numbers(value, key=""):
-    """Yield the keys of all numbers in the file."""
+    """Yield the key of each number in the contents of the file; `key` is that of `value`."""
     if isinstance(value, dict):
-        for name, each in value.items():
-            yield from numbers(each, key if key == "counters" else name)
+        for name, item in value.items():
+            yield from numbers(item, key if key == "counters" else name)
     elif isinstance(value, list):
-        for each in value:
-            yield from numbers(each, key)
+        for item in value:
+            yield from numbers(item, key)
     elif isinstance(value, int | float) and not isinstance(value, bool):
         yield key
 
@@ -224,17 +234,17 @@ def test_the_file_has_no_private_data(session):
 
 
 def test_every_step_says_first_what_arm_and_person_do(session):
-    asked = session[3]
-    assert len(asked) > 5
-    assert all(re.match(r"Next: .*\. You: .*", text) for text in asked)
+    texts = session[3]
+    assert len(texts) > 5
+    assert all(re.match(r"Next: .*\. You: .*", text) for text in texts)
 
 
 @pytest.mark.full
 def test_identification_depends_on_the_stall_torque_of_the_table(tmp_path, monkeypatch):
     path = tmp_path / "arm.json"
-    with arm_of_unknown_servos(monkeypatch, tmp_path) as (bus, arm, own):
-        _, data = run(bus, arm, own, path, skipped=("yields along x",))
-        true = STRONGER * arm.servos.kp[1]
+    with arm_of_unknown_servos(monkeypatch, tmp_path) as (bus, arm, arm_config):
+        _, data = run(bus, arm, arm_config, path, skipped=("yields along x",))
+        true = TORQUE_RATIO * arm.servos.kp[1]
     steps = data["steps"]
     pushes = steps["push"]
     slope = (pushes[1]["measured"] - pushes[0]["measured"]) / (
@@ -242,7 +252,7 @@ def test_identification_depends_on_the_stall_torque_of_the_table(tmp_path, monke
     )
     identified = [joint["kp"] for joint in steps["servos"]["joints"][1:4]]
     by_weight = [joint["kp"] for joint in steps["weight"]["joints"][1:4]]
-    assert np.median(identified) == pytest.approx(true / STRONGER, rel=0.12)
+    assert np.median(identified) == pytest.approx(true / TORQUE_RATIO, rel=0.12)
     assert slope * np.median(identified) == pytest.approx(true, rel=0.15)
     assert by_weight == pytest.approx([true] * 3, rel=0.08)
 
@@ -250,16 +260,16 @@ def test_identification_depends_on_the_stall_torque_of_the_table(tmp_path, monke
 def test_ctrl_c_lowers_the_arm_and_the_next_session_continues(tmp_path, monkeypatch):
     path = tmp_path / "arm.json"
     skipped = ("swings", "yields along y")
-    with arm_of_unknown_servos(monkeypatch, tmp_path, 0.0) as (bus, arm, own):
-        asked, data = run(bus, arm, own, path, skipped=skipped, stop="is lowered")
-        assert asked[-1] == "Ctrl-C"
+    with arm_of_unknown_servos(monkeypatch, tmp_path, 0.0) as (bus, arm, arm_config):
+        texts, data = run(bus, arm, arm_config, path, skipped=skipped, stop="is lowered")
+        assert texts[-1] == "Ctrl-C"
         assert is_limp(bus)
         assert set(data["steps"]) == {"bus", "push", "loop"}
-        pushed = data["steps"]["push"]
-    with arm_of_unknown_servos(monkeypatch, tmp_path, 0.0) as (bus, arm, own):
-        asked, data = run(bus, arm, own, path, skipped=("swings",))
-        assert not any("yields along" in text for text in asked)
-        assert data["steps"]["push"] == pushed
+        pushes = data["steps"]["push"]
+    with arm_of_unknown_servos(monkeypatch, tmp_path, 0.0) as (bus, arm, arm_config):
+        texts, data = run(bus, arm, arm_config, path, skipped=("swings",))
+        assert not any("yields along" in text for text in texts)
+        assert data["steps"]["push"] == pushes
         assert "ending" in data["steps"]
 
 
@@ -269,10 +279,10 @@ def test_a_file_of_another_arm_is_not_continued(tmp_path, monkeypatch, session):
     data["servos"][0]["firmware"] += 1
     path.write_text(json.dumps(data))
     with (
-        arm_of_unknown_servos(monkeypatch, tmp_path) as (bus, arm, own),
+        arm_of_unknown_servos(monkeypatch, tmp_path) as (bus, arm, arm_config),
         pytest.raises(pliant.ConfigError, match="is of other servos"),
     ):
-        run(bus, arm, own, path)
+        run(bus, arm, arm_config, path)
     assert json.loads(path.read_text("utf-8")) == data
 
 
@@ -294,7 +304,7 @@ def test_a_damaged_file_is_refused(text, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("line", "said"),
+    ("line", "message"),
     [
         ("9000\n", r"9000 g is impossible: 1 to 3059 g here, 3 × the 10 N that the servos hold"),
         ("0\n", "0 g is impossible: 1 to"),
@@ -305,14 +315,14 @@ def test_a_damaged_file_is_refused(text, tmp_path):
         ("\n", "'' is not a number of grams"),
     ],
 )
-def test_an_impossible_reading_is_refused_with_its_bound(line, said):
-    with pytest.raises(pliant.ConfigError, match=said):
+def test_an_impossible_reading_is_refused_with_its_bound(line, message):
+    with pytest.raises(pliant.ConfigError, match=message):
         grams(line, MIN_READING, 3.0, 10.0)
     assert grams(" 120 g\n", MIN_READING, 3.0, 10.0) == 120.0
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("arguments", "message"),
     [
         ("servos doctor so101 --report a.json", "--report belongs to --measure"),
         ("servos doctor so101 --measure --watch", "give one"),
@@ -322,20 +332,22 @@ def test_an_impossible_reading_is_refused_with_its_bound(line, said):
         ("identify so101 servos --report a.json --backend sim", "backend 'sim' has none"),
     ],
 )
-def test_flags_are_refused_before_torque_comes_on(words, said, tmp_path, capsys, monkeypatch):
+def test_flags_are_refused_before_torque_comes_on(
+    arguments, message, tmp_path, capsys, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "old.json").write_text('{"servo": 1}')
-    assert main(words.split()) == 2
-    assert said in " ".join(capsys.readouterr().err.split())
+    assert main(arguments.split()) == 2
+    assert message in " ".join(capsys.readouterr().err.split())
     assert [file.name for file in tmp_path.iterdir()] == ["old.json"]
 
 
 def test_the_command_takes_its_answers_from_a_script(tmp_path, capsys, monkeypatch):
     path = tmp_path / "arm.json"
-    words = ["servos", "doctor", "so101", "--backend", "emulator", "--measure", "--report"]
+    argv = ["servos", "doctor", "so101", "--backend", "emulator", "--measure", "--report"]
     answers = "\nskip\n99999\nskip\nskip\nskip\nskip\n\n"
     monkeypatch.setattr("sys.stdin", io.StringIO(answers))
-    assert main([*words, str(path)]) == 0
+    assert main([*argv, str(path)]) == 0
     out = capsys.readouterr().out
     assert "99999 g is impossible" in out
     assert "drop after torque off, mm" in out

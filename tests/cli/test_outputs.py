@@ -23,7 +23,7 @@ backend = "sim"
 urdf = "arm.urdf"
 tip = "tool"
 """
-GOOD = '{"position": [0.2, 0.0, 0.2]}\n'
+TARGET_LINE = '{"position": [0.2, 0.0, 0.2]}\n'
 
 
 @pytest.fixture
@@ -32,7 +32,7 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "arm.urdf").write_text(pliant.robots.koch().source[0])
     (tmp_path / "mine.toml").write_text(TOML)
-    (tmp_path / "targets.jsonl").write_text(GOOD)
+    (tmp_path / "targets.jsonl").write_text(TARGET_LINE)
     calibration = {
         name: {"id": i, "drive_mode": 0, "homing_offset": 0, "range_min": 0, "range_max": 4095}
         for i, name in enumerate((*pliant.robots.so101().joint_names, "gripper"), 1)
@@ -51,7 +51,7 @@ def contents(folder):
 
 
 @pytest.mark.parametrize(
-    "words",
+    "arguments",
     [
         "teach so101 my_arm.json --calibration my_arm.json --backend sim --scripted-hand",
         "teach so101 ./my_arm.json --backend sim --scripted-hand",
@@ -68,12 +68,12 @@ def contents(folder):
         "view mine.toml --log mine.toml",
     ],
 )
-def test_no_input_and_no_other_kind_is_written_over(words, folder, capsys):
+def test_no_input_and_no_other_kind_is_written_over(arguments, folder, capsys):
     before = contents(folder)
-    assert main(words.split()) == 2
+    assert main(arguments.split()) == 2
     assert contents(folder) == before
-    said = capsys.readouterr().err
-    assert "name another file" in said or ".json" in said or ".mcap" in said
+    stderr = capsys.readouterr().err
+    assert "name another file" in stderr or ".json" in stderr or ".mcap" in stderr
 
 
 def test_pictures_and_tables_keep_to_their_kind(folder, capsys):
@@ -85,30 +85,30 @@ def test_pictures_and_tables_keep_to_their_kind(folder, capsys):
     (folder / "numbers.npz").write_text("a letter")
     (folder / "run_report").write_text("a letter")
     before = contents(folder)
-    for words in (
+    for command in (
         "log plot run.mcap --output letter.png",
         "log export run.mcap --output numbers.npz",
         "log report run.mcap",
     ):
-        assert main(words.split()) == 2
+        assert main(command.split()) == 2
         assert "is there and is no" in capsys.readouterr().err
     assert contents(folder) == before
-    for words, made in (
+    for command, file in (
         ("log plot run.mcap", "run.png"),
         ("log export run.mcap", "run.npz"),
     ):
-        assert main(words.split()) == 0
+        assert main(command.split()) == 0
         assert "will be replaced" not in capsys.readouterr().err
-        assert main(words.split()) == 0
-        assert f"{made}: the" in capsys.readouterr().err
+        assert main(command.split()) == 0
+        assert f"{file}: the" in capsys.readouterr().err
     assert not [name for name in contents(folder) if name.startswith(".")]
 
 
-def test_a_log_is_replaced_by_a_log_and_it_is_said(folder, capsys):
-    words = ["run", "koch", "--backend", "sim", "--duration", "0.2", "--quiet", "--log", "run.mcap"]
-    assert main(words) == 0
+def test_a_log_replaces_a_log_with_a_message(folder, capsys):
+    argv = ["run", "koch", "--backend", "sim", "--duration", "0.2", "--quiet", "--log", "run.mcap"]
+    assert main(argv) == 0
     assert "replaced" not in capsys.readouterr().err
-    assert main(words) == 0
+    assert main(argv) == 0
     assert "run.mcap: the log that is there will be replaced" in capsys.readouterr().err
     assert (folder / "run.mcap").read_bytes().startswith(b"\x89MCAP0")
 
@@ -131,15 +131,15 @@ def test_a_file_is_replaced_whole_or_not_at_all(tmp_path):
     path.chmod(0o640)
 
     def fail():
-        with replacing(path) as beside:
-            beside.write_text("half")
+        with replacing(path) as temporary:
+            temporary.write_text("half")
             raise OSError("disk full")
 
     with pytest.raises(OSError, match="disk full"):
         fail()
     assert contents(tmp_path) == {"wave.json": b"old"}
-    with replacing(path) as beside:
-        beside.write_text("new")
+    with replacing(path) as part:
+        part.write_text("new")
         assert path.read_text() == "old"
     assert contents(tmp_path) == {"wave.json": b"new"}
     assert path.stat().st_mode & 0o777 == 0o640

@@ -13,8 +13,8 @@ SETTINGS = pliant.Settings(
 )
 
 
-def soft(words, *, holds):
-    return apply_soft(SETTINGS, words, MODEL, holds=holds, option="--soft")
+def soft(text, *, holds):
+    return apply_soft(SETTINGS, text, MODEL, holds=holds, option="--soft")
 
 
 @pytest.mark.parametrize("holds", [True, False])
@@ -22,20 +22,20 @@ def test_no_words_change_nothing(holds):
     assert soft("", holds=holds) is SETTINGS
 
 
-@pytest.mark.parametrize("words", ["y=2 z=3.5", "y=2,z=3.5", " z=3.5  y=2 "])
-def test_a_cap_is_constant_over_the_deviation(words):
+@pytest.mark.parametrize("text", ["y=2 z=3.5", "y=2,z=3.5", " z=3.5  y=2 "])
+def test_a_cap_is_constant_over_the_deviation(text):
     for holds in (True, False):
-        made = soft(words, holds=holds)
-        strengths = pliant.Controller(MODEL, made).axes
+        settings = soft(text, holds=holds)
+        strengths = pliant.Controller(MODEL, settings).axes
         assert [strengths[name].soft for name in "yz"] == [(2.0, 2.0), (3.5, 3.5)]
-        assert [made.axes[name].profile for name in "yz"] == ["constant", "constant"]
-        assert made.axes["z"].adaptation == 0.0, "a named axis is as the flag says"
+        assert [settings.axes[name].profile for name in "yz"] == ["constant", "constant"]
+        assert settings.axes["z"].adaptation == 0.0, "a named axis is as the flag says"
 
 
-def test_axes_that_are_not_named_hold_or_stay():
-    hold, stay = soft("y=2", holds=True), soft("y=2", holds=False)
-    assert (hold.axes["x"], hold.axes["z"]) == (pliant.Axis(), pliant.Axis())
-    assert (stay.axes["x"], stay.axes["z"]) == (SETTINGS.axes["x"], SETTINGS.axes["z"])
+def test_unnamed_axes_hold_or_keep_their_settings():
+    held, unchanged = soft("y=2", holds=True), soft("y=2", holds=False)
+    assert (held.axes["x"], held.axes["z"]) == (pliant.Axis(), pliant.Axis())
+    assert (unchanged.axes["x"], unchanged.axes["z"]) == (SETTINGS.axes["x"], SETTINGS.axes["z"])
 
 
 def test_an_axis_without_a_cap_takes_the_arms_own():
@@ -48,13 +48,13 @@ def test_an_axis_without_a_cap_takes_the_arms_own():
 
 
 def test_everything_else_of_the_settings_is_kept():
-    own = SETTINGS.replace(rate=50.0, max_tool_speed=(0.1, 0.5))
-    made = apply_soft(own, "y=2", MODEL, holds=True)
-    assert made == own.replace(axes={"y": pliant.Axis(soft=2.0, profile="constant")})
+    original = SETTINGS.replace(rate=50.0, max_tool_speed=(0.1, 0.5))
+    settings = apply_soft(original, "y=2", MODEL, holds=True)
+    assert settings == original.replace(axes={"y": pliant.Axis(soft=2.0, profile="constant")})
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("text", "message"),
     [
         ("y=60", r"--soft y=60: this arm holds y with at most \S+ N; a cap is at most that"),
         ("roll", "roll is not an axis of the task, which has x, y, z"),
@@ -66,13 +66,13 @@ def test_everything_else_of_the_settings_is_kept():
     ],
 )
 @pytest.mark.parametrize("holds", [True, False])
-def test_what_cannot_be_is_refused(words, said, holds):
-    with pytest.raises(pliant.ConfigError, match=said):
-        soft(words, holds=holds)
+def test_invalid_values_are_refused(text, message, holds):
+    with pytest.raises(pliant.ConfigError, match=message):
+        soft(text, holds=holds)
 
 
 def test_the_largest_cap_is_what_the_arm_holds():
-    most = pliant.Controller(MODEL, pliant.Settings.firm(task=TASK)).axes["y"].hold
-    assert soft(f"y={most}", holds=True).axes["y"].soft == (most, most)
+    largest = pliant.Controller(MODEL, pliant.Settings.firm(task=TASK)).axes["y"].hold
+    assert soft(f"y={largest}", holds=True).axes["y"].soft == (largest, largest)
     with pytest.raises(pliant.ConfigError, match="holds y with at most"):
-        soft(f"y={1.01 * most}", holds=True)
+        soft(f"y={1.01 * largest}", holds=True)

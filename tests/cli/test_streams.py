@@ -10,13 +10,13 @@ pytest.importorskip("mujoco", reason="runs need the extra sim")
 PLIANT = (sys.executable, "-m", "pliant.cli")
 
 
-@pytest.mark.parametrize("closed", [">&-", "<&- >&- 2>&-"])
-def test_a_command_runs_with_closed_streams(closed):
-    shell = ("/bin/sh", "-c", f'exec "$@" {closed}', "sh")
-    ended = subprocess.run(
+@pytest.mark.parametrize("descriptors", [">&-", "<&- >&- 2>&-"])
+def test_a_command_runs_with_closed_streams(descriptors):
+    shell = ("/bin/sh", "-c", f'exec "$@" {descriptors}', "sh")
+    result = subprocess.run(
         [*shell, *PLIANT, "arms", "koch"], capture_output=True, timeout=100, check=False
     )
-    assert (ended.returncode, ended.stdout, ended.stderr) == (0, b"", b"")
+    assert (result.returncode, result.stdout, result.stderr) == (0, b"", b"")
 
 
 def test_characters_that_the_locale_does_not_have_are_replaced(monkeypatch):
@@ -24,11 +24,11 @@ def test_characters_that_the_locale_does_not_have_are_replaced(monkeypatch):
     monkeypatch.setenv("PYTHONUTF8", "0")
     monkeypatch.setenv("PYTHONCOERCECLOCALE", "0")
     monkeypatch.setenv("PYTHONIOENCODING", "ascii")
-    ended = subprocess.run(
+    result = subprocess.run(
         [*PLIANT, "run", "so101", "--backend", "sim", "--duration", "0.1", "--quiet"],
         capture_output=True,
         timeout=100,
         check=False,
     )
-    assert ended.returncode == 0, ended.stderr
-    assert b" ?s (50, 99, 99.9 %)" in ended.stdout
+    assert result.returncode == 0, result.stderr
+    assert b" ?s (50, 99, 99.9 %)" in result.stdout

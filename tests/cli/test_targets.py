@@ -1,4 +1,4 @@
-"""Targets from other programs: errors are reported; a stream neither ends nor delays the loop."""
+"""Targets from other programs: errors are reported, and no stream ends or delays the loop."""
 
 import os
 import re
@@ -17,13 +17,13 @@ from pliant.cli import main
 from pliant.cli._targets import MAX_LINE, StreamTargets, Target, open_targets
 
 MODEL = pliant.robots.so101()
-GOOD = b'{"position": [0.2, 0.0, 0.2]}\n'
+TARGET_LINE = b'{"position": [0.2, 0.0, 0.2]}\n'
 TARGET = Target(position=(0.2, 0.0, 0.2))
 PORT = 20177
 
 
 @pytest.mark.parametrize(
-    ("line", "said"),
+    ("line", "message"),
     [
         ("{", "is not JSON"),
         ("[1]", "an object of"),
@@ -44,12 +44,12 @@ PORT = 20177
         ('{"wxyz": [1, 0, 0, 0], "xyzw": [0, 0, 0, 1]}', "one quaternion"),
     ],
 )
-def test_targets_that_are_none(line, said, tmp_path, capsys):
+def test_invalid_targets(line, message, tmp_path, capsys):
     file = tmp_path / "bad.jsonl"
     file.write_text(f'{{"position": [0.2, 0, 0.2]}}\n{line}\n')
     assert main(["run", "so101", "--backend", "sim", "--targets", str(file)]) == 2
     error = capsys.readouterr().err
-    assert said in error
+    assert message in error
     assert "line 2" in error
 
 
@@ -74,21 +74,21 @@ def test_reach_counts_from_the_first_joint_that_moves():
     model = pliant.Model.from_urdf_str(lift, locked={"lift": 1.0})
     assert np.allclose(model.reach_origin, [0.0, 0.0, 1.0])
     Target(position=(0.4, 0.0, 1.0)).check(model)
-    said = r"from turn \[m\] = 1\.5 is outside \[0, 0\.900\]: the arm reaches 0\.400 m"
-    with pytest.raises(pliant.OutOfRangeError, match=said):
+    message = r"from turn \[m\] = 1\.5 is outside \[0, 0\.900\]: the arm reaches 0\.400 m"
+    with pytest.raises(pliant.OutOfRangeError, match=message):
         Target(position=(0.0, 0.0, 2.5)).check(model)
 
 
 def test_joints_may_be_a_little_beyond_their_limits():
-    for given in (MODEL.upper + 0.1, MODEL.lower - 0.1):
-        Target(q=tuple(given)).check(MODEL)
+    for q in (MODEL.upper + 0.1, MODEL.lower - 0.1):
+        Target(q=tuple(q)).check(MODEL)
     with pytest.raises(pliant.OutOfRangeError, match=r"wrist_roll\) \[rad\] = .* degrees"):
         Target(q=(0.0, 0.0, 0.0, 0.0, MODEL.upper[4] + 0.3)).check(MODEL)
 
 
 @pytest.fixture
 def pipe():
-    """Return a stream, and a function that writes to it and waits until it was read."""
+    """Yield a stream of targets, and a function that writes to it and waits until it was read."""
     ends = os.pipe()
     source = StreamTargets(ends[0], MODEL)
 
@@ -101,7 +101,7 @@ def pipe():
     source.__exit__()
 
 
-WRONG = [
+INVALID_LINES = [
     b'{"position": [200, 0, 200]}\n',
     b'{"position": [1e300, 0, 0]}\n',
     b'{"position": [' + b"1" * 400 + b", 0, 0]}\n",
@@ -113,18 +113,18 @@ WRONG = [
 ]
 
 
-@pytest.mark.parametrize("line", WRONG)
-def test_a_wrong_line_of_a_stream_is_said_and_skipped(line, pipe, capsys):
+@pytest.mark.parametrize("line", INVALID_LINES)
+def test_an_invalid_line_of_a_stream_is_reported_and_skipped(line, pipe, capsys):
     source, write, end = pipe
     write(line)
     assert source.latest() is None
-    said = capsys.readouterr().err
-    assert said.startswith("target refused: ")
-    assert len(said) < 400
-    write(b"\n", GOOD)
+    stderr = capsys.readouterr().err
+    assert stderr.startswith("target refused: ")
+    assert len(stderr) < 400
+    write(b"\n", TARGET_LINE)
     assert source.latest() == TARGET
     assert not source.done
-    write(GOOD.strip())
+    write(TARGET_LINE.strip())
     end()
     time.sleep(0.1)
     assert source.latest() == TARGET, "also a last line without an end"
@@ -133,42 +133,42 @@ def test_a_wrong_line_of_a_stream_is_said_and_skipped(line, pipe, capsys):
 
 def test_of_many_lines_the_newest_counts(pipe):
     source, write, _ = pipe
-    write(b'{"position": [0.1, 0.0, 0.2]}\n' * 50 + GOOD)
+    write(b'{"position": [0.1, 0.0, 0.2]}\n' * 50 + TARGET_LINE)
     assert source.latest() == TARGET
     assert source.latest() is None
 
 
-def test_refusals_are_said_a_few_times_a_second(pipe, capsys):
+def test_refusals_are_reported_a_few_times_per_second(pipe, capsys):
     source, write, _ = pipe
     for _ in range(6):
         write(b"nonsense\n")
         source.latest()
     source.__exit__()
-    said = capsys.readouterr().err.splitlines()
-    assert len(said) < 4
-    told = sum("target refused" in line for line in said)
-    left = sum(int(count) for count in re.findall(r"(\d+) more", "\n".join(said)))
-    assert told + left == 6
+    stderr = capsys.readouterr().err.splitlines()
+    assert len(stderr) < 4
+    shown = sum("target refused" in line for line in stderr)
+    omitted = sum(int(count) for count in re.findall(r"(\d+) more", "\n".join(stderr)))
+    assert shown + omitted == 6
 
 
 def complaints(text):
-    """Return lines of standard error, without those on the descent."""
+    """Return the lines of standard error that are not about the descent."""
     return [line for line in text.splitlines() if not line.startswith("pliant: so101_like")]
 
 
 def test_a_flood_on_standard_input_does_not_hold_the_loop():
-    words = ["run", "so101", "--backend", "sim", "--quiet", "--targets", "-", "--duration", "2"]
-    with subprocess.Popen(["yes", GOOD.decode().strip()], stdout=subprocess.PIPE) as flood:
-        done = programs.run("-m", "pliant.cli", *words, stdin=flood.stdout)
+    argv = ["run", "so101", "--backend", "sim", "--quiet", "--targets", "-", "--duration", "2"]
+    with subprocess.Popen(["yes", TARGET_LINE.decode().strip()], stdout=subprocess.PIPE) as flood:
+        result = programs.run("-m", "pliant.cli", *argv, stdin=flood.stdout)
         flood.terminate()
-    assert done.returncode == 0, done.stderr
-    assert "200 ticks" in done.stdout
-    assert not complaints(done.stderr)
+    assert result.returncode == 0, result.stderr
+    assert "200 ticks" in result.stdout
+    assert not complaints(result.stderr)
 
 
 def test_a_run_ends_while_standard_input_is_open():
-    words = ["run", "so101", "--backend", "sim", "--quiet", "--targets", "-", "--duration", "0.5"]
-    with Program("-m", "pliant.cli", *words, stdin=PIPE) as running:
+    argv = ["run", "so101", "--backend", "sim", "--quiet", "--targets", "-", "--duration", "0.5"]
+    with Program("-m", "pliant.cli", *argv, stdin=PIPE) as running:
         assert running.wait(timeout=60) == 0
         assert not complaints(running.stderr.read())
 
@@ -179,11 +179,11 @@ def test_datagrams_come_from_this_machine_only(capsys):
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender,
     ):
         assert source.latest() is None
-        for text in (b"nonsense", b'{"q": [0, 0]}', GOOD):
+        for text in (b"nonsense", b'{"q": [0, 0]}', TARGET_LINE):
             sender.sendto(text, ("127.0.0.1", PORT))
         time.sleep(0.1)
         assert source.latest() == TARGET
-        for line in (*WRONG[:3], b" " * MAX_LINE + GOOD):
+        for line in (*INVALID_LINES[:3], b" " * MAX_LINE + TARGET_LINE):
             sender.sendto(line, ("127.0.0.1", PORT))
             time.sleep(0.1)
             assert source.latest() is None
@@ -191,32 +191,32 @@ def test_datagrams_come_from_this_machine_only(capsys):
 
 
 def test_a_flood_of_datagrams_does_not_hold_a_tick():
-    over = threading.Event()
+    is_over = threading.Event()
 
     def flood():
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
-            while not over.is_set():
-                sender.sendto(GOOD, ("127.0.0.1", PORT + 1))
+            while not is_over.is_set():
+                sender.sendto(TARGET_LINE, ("127.0.0.1", PORT + 1))
 
     with open_targets(f"udp:{PORT + 1}", MODEL) as source:
         thread = threading.Thread(target=flood)
         thread.start()
         try:
             time.sleep(0.1)
-            begun = time.monotonic()
-            found = [source.latest() for _ in range(5)]
-            assert time.monotonic() - begun < 10.0
-            assert TARGET in found
+            start = time.monotonic()
+            targets = [source.latest() for _ in range(5)]
+            assert time.monotonic() - start < 10.0
+            assert TARGET in targets
         finally:
-            over.set()
+            is_over.set()
             thread.join()
 
 
-def test_a_target_that_was_not_reached_is_said(tmp_path, capsys):
+def test_a_target_that_was_not_reached_is_reported(tmp_path, capsys):
     file = tmp_path / "targets"
-    file.write_bytes(GOOD)
-    words = ["run", "so101", "--backend", "sim", "--quiet", "--targets", str(file)]
-    assert main([*words, "--duration", "0.1"]) == 0
+    file.write_bytes(TARGET_LINE)
+    argv = ["run", "so101", "--backend", "sim", "--quiet", "--targets", str(file)]
+    assert main([*argv, "--duration", "0.1"]) == 0
     assert re.search(r"the tool is 1\d\d mm off its last target\n", capsys.readouterr().out)
 
 
@@ -224,9 +224,9 @@ def test_joints_at_their_limits_are_named_where_a_target_was_not_reached():
     """An SO-101 in its rest pose cannot reach a target above it, because of its joint limits."""
     from pliant.cli.run import _describe_target_error
 
-    folded = np.array([0.0, -1.75, 1.7, 0.0, 0.0])
+    folded_q = np.array([0.0, -1.75, 1.7, 0.0, 0.0])
     target = MODEL.forward_kinematics([0.0, -0.3, 0.3, 0.9, 0.0])
-    (said,) = _describe_target_error(MODEL, folded, target)
-    assert "at their limits: shoulder_lift, elbow_flex" in said
-    assert "another pose" in said
-    assert not _describe_target_error(MODEL, folded, MODEL.forward_kinematics(folded))
+    (sentence,) = _describe_target_error(MODEL, folded_q, target)
+    assert "at their limits: shoulder_lift, elbow_flex" in sentence
+    assert "another pose" in sentence
+    assert not _describe_target_error(MODEL, folded_q, MODEL.forward_kinematics(folded_q))

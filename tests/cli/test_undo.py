@@ -18,7 +18,7 @@ JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_ro
 
 @pytest.fixture
 def arm(tmp_path):
-    """Return new servos, the file of their arm, and the path for a backup.
+    """Return an emulated bus of new servos, the file of their arm, and a path for the backup.
 
     The name of the folder contains a space, which the printed commands must quote.
     """
@@ -36,37 +36,37 @@ def arm(tmp_path):
 
 
 @pytest.fixture
-def done(arm, capsys):
-    """Return the values of `arm` after `setup` has run, and the text that it printed."""
+def after_setup(arm, capsys):
+    """Run `setup`; return the values of the fixture `arm`, and the text that it printed."""
     bus, file, backup = arm
     assert (
         main(["servos", "setup", str(file), "--port", bus.port, "--yes", "--backup", str(backup)])
         == 0
     )
-    said = capsys.readouterr().out
+    output = capsys.readouterr().out
     bus.log.clear()
-    return bus, file, backup, said
+    return bus, file, backup, output
 
 
-def test_the_printed_command_puts_the_values_back(done, capsys, monkeypatch):
-    bus, file, backup, said = done
+def test_the_printed_command_puts_the_values_back(after_setup, capsys, monkeypatch):
+    bus, file, backup, output = after_setup
     old = json.loads(backup.read_text())
-    assert f"{len(old['changes'])} registers written" in said
-    (line,) = [line for line in said.splitlines() if "puts them back" in line]
-    name, *words = shlex.split(line.partition("back: ")[2])
-    assert (name, words[:2]) == ("pliant", ["servos", "setup"])
-    assert words[2] == str(file)
-    assert words[-2:] == ["--port", bus.port]
-    assert main([*words, "--yes"]) == 0
+    assert f"{len(old['changes'])} registers written" in output
+    (line,) = [line for line in output.splitlines() if "puts them back" in line]
+    name, *argv = shlex.split(line.partition("back: ")[2])
+    assert (name, argv[:2]) == ("pliant", ["servos", "setup"])
+    assert argv[2] == str(file)
+    assert argv[-2:] == ["--port", bus.port]
+    assert main([*argv, "--yes"]) == 0
     assert f"{len(old['changes'])} registers written" in capsys.readouterr().out
     assert len(bus.log.eeprom_writes()) == len(old["changes"])
     # A second undo changes nothing, because it reads the registers first.
-    assert main([*words, "--yes"]) == 0
+    assert main([*argv, "--yes"]) == 0
     assert "nothing to change" in capsys.readouterr().out
 
 
-def test_the_column_is_shows_what_the_servo_has(done, capsys, monkeypatch):
-    bus, file, backup, _ = done
+def test_the_column_is_shows_what_the_servo_has(after_setup, capsys, monkeypatch):
+    bus, file, backup, _ = after_setup
     data = json.loads(backup.read_text())
     change = next(c for c in data["changes"] if c["register"] == "return_delay" and c["id"] == 2)
     change["new"] = 77  # not the value in the servo
@@ -79,8 +79,8 @@ def test_the_column_is_shows_what_the_servo_has(done, capsys, monkeypatch):
     assert not bus.log.eeprom_writes()
 
 
-def test_a_backup_from_before_is_still_read(done, capsys):
-    bus, file, backup, _ = done
+def test_a_backup_from_before_is_still_read(after_setup, capsys):
+    bus, file, backup, _ = after_setup
     entries = json.loads(backup.read_text())["changes"]
     for entry in entries:
         del entry["model"]
@@ -91,7 +91,7 @@ def test_a_backup_from_before_is_still_read(done, capsys):
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         ({"joint": "nope"}, "has values of nope (id 1), which the configuration does not have"),
         ({"id": 77}, "shoulder_pan (id 77), which the configuration does not have; it has"),
@@ -112,31 +112,33 @@ def test_a_backup_from_before_is_still_read(done, capsys):
         ({"foo": 1}, "an entry has joint, id, register"),
     ],
 )
-def test_what_does_not_belong_is_refused_before_the_first_write(change, said, done, capsys):
-    bus, file, backup, _ = done
+def test_a_backup_that_does_not_match_is_refused_before_the_first_write(
+    change, message, after_setup, capsys
+):
+    bus, file, backup, _ = after_setup
     data = json.loads(backup.read_text())
     data["changes"][0].update(change)
-    # Put the invalid change last: valid changes that precede it must not be written either.
+    # The invalid change comes last: the valid changes before it must not be written either.
     data["changes"].append(data["changes"].pop(0))
     backup.write_text(json.dumps(data))
     assert main(["servos", "setup", str(file), "--undo", str(backup), "--yes"]) == 2
-    assert said in capsys.readouterr().err
+    assert message in capsys.readouterr().err
     assert not bus.log.eeprom_writes()
 
 
 @pytest.mark.parametrize(
     "text", ["{}", "null", "5", '"abc"', "[1, 2]", "[" * 100_000, "1" * 5000, '{"format": 3}']
 )
-def test_what_is_no_backup(text, done, capsys):
-    _, file, backup, _ = done
+def test_invalid_backups_are_refused(text, after_setup, capsys):
+    _, file, backup, _ = after_setup
     backup.write_text(text)
     assert main(["servos", "setup", str(file), "--undo", str(backup), "--yes"]) == 2
     error = capsys.readouterr().err
     assert "is not a backup of pliant servos setup" in error or "is 3, this pliant reads" in error
 
 
-def test_a_backup_of_another_arm_or_a_register_twice(done, capsys):
-    bus, file, backup, _ = done
+def test_a_backup_of_another_arm_or_a_register_twice(after_setup, capsys):
+    bus, file, backup, _ = after_setup
     data = json.loads(backup.read_text())
     data["changes"].append(data["changes"][0])
     backup.write_text(json.dumps(data))
@@ -159,8 +161,8 @@ def test_a_full_disk_leaves_no_backup_and_no_change(arm, capsys, monkeypatch):
     bus.log.clear()
     with monkeypatch.context() as patch:
         patch.setattr(Path, "write_text", write_the_start)
-        words = ["servos", "setup", str(file), "--port", bus.port, "--yes"]
-        assert main([*words, "--backup", str(backup)]) == 2
+        argv = ["servos", "setup", str(file), "--port", bus.port, "--yes"]
+        assert main([*argv, "--backup", str(backup)]) == 2
     assert f"No space left on device: '{backup}'" in capsys.readouterr().err
     assert list(backup.parent.iterdir()) == [file]
     assert bus.log.eeprom_writes() == []

@@ -1,4 +1,4 @@
-"""`pliant servos doctor --watch`: joints moved by hand, torque off, and the tool's direction."""
+"""`pliant servos doctor --watch`: it names joints moved by hand, and the direction of the tool."""
 
 from __future__ import annotations
 
@@ -17,38 +17,40 @@ from pliant.cli import main
 from pliant.cli.servos._joint_monitor import joint_directions
 from pliant.config.factory import make_emulator
 
-UP = (0.0, 0.0, 1.0)
+UPWARD = (0.0, 0.0, 1.0)
 
 
 @pytest.mark.parametrize("name", ["so101", "koch", "arm7"])
 def test_ways_are_those_of_finite_differences(name):
     model = getattr(pliant.robots, name)()
     q = 0.5 * np.ones(model.n) * np.where(np.arange(model.n) % 2, 1.0, -1.0)
-    for falling, sign in ((False, 1.0), (True, -1.0)):
-        for joint, phrase in enumerate(joint_directions(model, q, up=UP, falling=falling)):
+    for is_falling, sign in ((False, 1.0), (True, -1.0)):
+        for joint, phrase in enumerate(joint_directions(model, q, up=UPWARD, falling=is_falling)):
             step = 1e-5 * np.eye(model.n)[joint] * sign
-            here, there = (model.forward_kinematics(p)[:3, 3] for p in (q, q + step))
-            moved = (there - here) / 1e-5
-            most = int(np.argmax(np.abs(moved)))
-            if np.linalg.norm(moved) < 0.02:
+            start, end = (model.forward_kinematics(p)[:3, 3] for p in (q, q + step))
+            displacement = (end - start) / 1e-5
+            largest = int(np.argmax(np.abs(displacement)))
+            if np.linalg.norm(displacement) < 0.02:
                 assert phrase.startswith("turns in place about ")
                 continue
-            expected = "+-"[int(moved[most] < 0.0)] + "xyz"[most]
-            assert phrase.startswith(f"goes {expected}"), (joint, phrase, moved)
-            assert ("(down)" in phrase) == bool(-moved[2] >= 0.3 * np.linalg.norm(moved))
+            expected = "+-"[int(displacement[largest] < 0.0)] + "xyz"[largest]
+            assert phrase.startswith(f"goes {expected}"), (joint, phrase, displacement)
+            assert ("(down)" in phrase) == bool(
+                -displacement[2] >= 0.3 * np.linalg.norm(displacement)
+            )
 
 
 def test_a_joint_that_turns_the_tool_in_place_names_its_axis():
     model = pliant.robots.so101()
-    roll = joint_directions(model, np.zeros(5), up=UP)[4]
+    roll = joint_directions(model, np.zeros(5), up=UPWARD)[4]
     assert roll == "turns in place about +x, as a screw goes in"
 
 
 @pytest.fixture
 def arm(tmp_path):
-    """Return an emulated SO-101 and its file with a wrong sign for shoulder_lift."""
-    ready = config.load("so101", backend="emulator")
-    with make_emulator(ready) as bus:
+    """Yield an emulated SO-101, its file, and a file with the wrong sign for shoulder_lift."""
+    arm_config = config.load("so101", backend="emulator")
+    with make_emulator(arm_config) as bus:
         text = config.loader.builtin_text("so101").replace('path = "auto"', f'path = "{bus.port}"')
         file = tmp_path / "arm.toml"
         file.write_text(text)
@@ -58,7 +60,7 @@ def arm(tmp_path):
 
 
 def watch_while_lifted(bus, file, capsys):
-    """Return the output while a hand turns shoulder_lift by +0.4 rad, and back."""
+    """Return the output while a hand turns shoulder_lift by +0.4 rad and back."""
 
     def lift():
         for angle in (0.4, 0.0):
@@ -78,10 +80,10 @@ def test_a_moved_joint_is_named_with_the_way_of_the_tool(arm, capsys):
     assert "shoulder_lift: +0.00 rad (+0°), limits -1.75 to +1.75" in out
     assert "shoulder_pan: " in out
     assert "gripper: " in out
-    grew = next(line for line in out.splitlines() if "shoulder_lift grew by 0.40 rad" in line)
-    assert "the tool goes -z (down)" in grew
-    fell = next(line for line in out.splitlines() if "shoulder_lift fell by 0.40 rad" in line)
-    assert "+z (up)" in fell
+    increase = next(line for line in out.splitlines() if "shoulder_lift grew by 0.40 rad" in line)
+    assert "the tool goes -z (down)" in increase
+    decrease = next(line for line in out.splitlines() if "shoulder_lift fell by 0.40 rad" in line)
+    assert "+z (up)" in decrease
     assert "elbow_flex grew" not in out
     assert not bus.log.writes("torque_enable")
     assert not bus.log.eeprom_writes()
@@ -113,7 +115,7 @@ def test_ctrl_c_is_how_it_ends():
         "signal.signal(signal.SIGINT, signal.default_int_handler); "
         "sys.exit(cli.main(sys.argv[1:]))"
     )
-    words = [
+    lines = [
         sys.executable,
         "-u",
         "-c",
@@ -125,7 +127,7 @@ def test_ctrl_c_is_how_it_ends():
         "sim",
         "--watch",
     ]
-    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as running:
+    with subprocess.Popen(lines, stdout=subprocess.PIPE, text=True) as running:
         try:
             assert running.stdout is not None
             while "tool at" not in running.stdout.readline():
@@ -142,7 +144,7 @@ def test_seconds_are_refused_where_they_mean_nothing(flags, capsys):
     assert "--duration" in capsys.readouterr().err
 
 
-def test_ready_points_to_what_no_program_sees(monkeypatch, capsys):
+def test_doctor_without_problems_points_to_watch(monkeypatch, capsys):
     monkeypatch.setattr("pliant.cli.servos.doctor.examine", lambda _: iter(()))
     assert main(["servos", "doctor", "so101", "--backend", "emulator"]) == 0
     assert "the same command with --watch" in " ".join(capsys.readouterr().out.split())
@@ -153,10 +155,10 @@ def test_the_table_names_units_and_is_not_read_as_markup():
 
     from pliant.cli.servos._joint_monitor import JointMonitor, _table
 
-    read = config.load("so101")
-    model = read.model()
-    look = JointMonitor(read, model, tuple(model.joint_names))
-    look.update(np.zeros(model.n), np.ones(model.n, dtype=bool))
+    arm_config = config.load("so101")
+    model = arm_config.model()
+    monitor = JointMonitor(arm_config, model, tuple(model.joint_names))
+    monitor.update(np.zeros(model.n), np.ones(model.n, dtype=bool))
     console = Console(width=140, force_terminal=True, record=True)
-    console.print(_table(look))
+    console.print(_table(monitor))
     assert "limits [rad]" in console.export_text()

@@ -11,13 +11,13 @@ from pliant.servo.spec import Units
 
 
 def test_specs_are_what_the_file_says(tmp_path):
-    read = config.parse(
+    arm_config = config.parse(
         'robot.builtin = "so101"\n[[port]]\nname = "main"\npath = "/dev/ttyX"\nbaud = 500_000\n'
         "[servo]\n"
         "shoulder_pan = { model = 'STS3215-12V', id = 7, sign = -1, zero = 9, kp = 8.0 }\n"
         "shoulder_lift = { model = 'XM540-W270', id = 2, secondary = { id = 3 }, lower = -1 }\n"
     )
-    pan, lift = factory.servo_specs(read, factory.port_paths(read))
+    pan, lift = factory.servo_specs(arm_config, factory.port_paths(arm_config))
     assert (pan.name, pan.port, pan.sign, pan.zero, pan.kp) == (
         "shoulder_pan",
         "/dev/ttyX",
@@ -29,12 +29,12 @@ def test_specs_are_what_the_file_says(tmp_path):
 
 
 def test_an_automatic_port_is_the_only_one(monkeypatch):
-    read = config.load("so101")
+    arm_config = config.load("so101")
     monkeypatch.setattr(factory, "serial_ports", lambda: ("/dev/a",))
-    assert factory.port_paths(read) == {"main": "/dev/a"}
+    assert factory.port_paths(arm_config) == {"main": "/dev/a"}
     monkeypatch.setattr(factory, "serial_ports", lambda: ("/dev/a", "/dev/b"))
     with pytest.raises(pliant.ServoError, match=r"there are 2: /dev/a, /dev/b.*--port"):
-        factory.port_paths(read)
+        factory.port_paths(arm_config)
     monkeypatch.setattr(factory, "serial_ports", tuple)
     with pytest.raises(pliant.ServoError, match="no serial port on this machine"):
         pliant.connect("so101")
@@ -63,19 +63,25 @@ def move(arm, name):
 @pytest.mark.pty
 @pytest.mark.parametrize("name", ["so101", "koch", "arm7"])
 def test_a_ready_arm_moves_over_real_bytes(name):
-    read = config.load(name)
-    with make_emulator(read, clock="steps") as bus:
-        chain = ServoBus(
-            factory.servo_specs(read, bus.ports), reply_timeout_min=0.2, clock=ManualClock(bus)
+    arm_config = config.load(name)
+    with make_emulator(arm_config, clock="steps") as bus:
+        servo_bus = ServoBus(
+            factory.servo_specs(arm_config, bus.ports),
+            reply_timeout_min=0.2,
+            clock=ManualClock(bus),
         )
-        options = {"rate": 50.0, "grippers": factory.gripper_configs(read), "handle_signals": False}
-        with pliant.Arm(read.model(), chain, **options) as arm:
-            target, reached = move(arm, name)
+        options = {
+            "rate": 50.0,
+            "grippers": factory.gripper_configs(arm_config),
+            "handle_signals": False,
+        }
+        with pliant.Arm(arm_config.model(), servo_bus, **options) as arm:
+            target, final = move(arm, name)
             arm.disable_torque()
-        order = bus.log.order(chain.specs[0].id)
+        order = bus.log.order(servo_bus.specs[0].id)
         assert not bus.log.eeprom_writes()
-    # The supply's voltage and the gain registers, not the ideal servos of the built-in table.
-    assert np.linalg.norm(reached - target) < 0.015
+    # The error comes from supply voltage and gain registers; the built-in table has ideal servos.
+    assert np.linalg.norm(final - target) < 0.015
     assert order[:3] == ["limit", "goal", "torque on"]
 
 
@@ -83,23 +89,23 @@ def test_a_ready_arm_moves_over_real_bytes(name):
 def test_a_ready_arm_on_an_emulator_of_its_own():
     options = {"rate": 20.0, "comm_timeout": 20.0, "handle_signals": False}
     with pliant.connect("arm7", backend="emulator", **options) as arm:
-        chain = arm.drive
+        servo_bus = arm.drive
         move(arm, "arm7")
-        order = chain.emulator.call("log.order", chain.specs[0].id)
-        assert not chain.emulator.call("log.eeprom_writes")
-        assert [found.voltage for found in chain.found] == [18.5] * 7
+        order = servo_bus.emulator.call("log.order", servo_bus.specs[0].id)
+        assert not servo_bus.emulator.call("log.eeprom_writes")
+        assert [servo.voltage for servo in servo_bus.found] == [18.5] * 7
         arm.disable_torque()
     assert order[:3] == ["limit", "goal", "torque on"]
 
 
 def test_joint_ranges_of_ready_arms_fit_their_servos():
     for name in ("so101", "so100", "koch", "arm7"):
-        read = config.load(name)
-        model = read.model()
+        arm_config = config.load(name)
+        model = arm_config.model()
         ranges = dict(
             zip(model.joint_names, zip(model.lower, model.upper, strict=True), strict=True)
         )
-        for spec in factory.servo_specs(read, {"main": "/dev/none"}):
+        for spec in factory.servo_specs(arm_config, {"main": "/dev/none"}):
             if spec.name in ranges:
                 units = Units.of(spec)
                 counts = [units.counts(bound) for bound in ranges[spec.name]]

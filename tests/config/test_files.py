@@ -14,28 +14,28 @@ from pliant.emulator import ManualClock
 from pliant.servo import ServoBus
 
 ROBOTS = Path(__file__).parents[3] / "shared" / "robots"
-OWN = ("arm7", "koch", "so100", "so101")
+READY_FILES = ("arm7", "koch", "so100", "so101")
 SIM = 'backend = "sim"\nrobot.builtin = "so101"\n'
 
 
 @pytest.mark.parametrize("name", config.list_arms())
 def test_ready_files_are_valid_and_described(name):
-    read = config.load(name)
+    arm_config = config.load(name)
     assert len(config.describe_arm(name)) > 40
-    assert read.settings().rate == read.loop.rate
-    if name in OWN:
-        model = read.model()
-        assert list(read.servo) == list(model.joint_names)
-        pliant.Controller(model, read.settings())
+    assert arm_config.settings().rate == arm_config.loop.rate
+    if name in READY_FILES:
+        model = arm_config.model()
+        assert list(arm_config.servo) == list(model.joint_names)
+        pliant.Controller(model, arm_config.settings())
 
 
 def test_a_users_urdf_takes_the_place_of_the_files():
     urdf = ROBOTS / "vx300s" / "vx300s.urdf"
     if not urdf.is_file():
         pytest.skip(f"no {urdf}")
-    read = config.load("vx300s", urdf=urdf)
-    assert read.model().joint_names == tuple(read.servo)
-    assert len(read.life.rest_q) == read.model().n
+    arm_config = config.load("vx300s", urdf=urdf)
+    assert arm_config.model().joint_names == tuple(arm_config.servo)
+    assert len(arm_config.life.rest_q) == arm_config.model().n
 
 
 def test_a_missing_urdf_is_named():
@@ -48,13 +48,13 @@ def test_urdf_and_file_that_disagree_on_joints():
         f'{joint} = {{ model = "XL330-M288", id = {i} }}'
         for i, joint in enumerate(("shoulder_pan", "shoulder_lift", "elbow", "wrist_flex"), 1)
     )
-    with pytest.raises(pliant.ConfigError, match="no servo for elbow_flex, wrist_roll") as caught:
+    with pytest.raises(pliant.ConfigError, match="no servo for elbow_flex, wrist_roll") as error:
         config.parse(text).model()
-    assert "no joint for the servos elbow" in str(caught.value)
+    assert "no joint for the servos elbow" in str(error.value)
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("x =", "is not TOML"),
         (
@@ -95,42 +95,42 @@ def test_urdf_and_file_that_disagree_on_joints():
         (SIM + "[loop]\nreply_timeout_min = 1e9", r"loop\.reply_timeout_min = 1000000000\.0: .* 1"),
     ],
 )
-def test_mistakes_are_named_with_what_would_be_right(text, said):
-    with pytest.raises(pliant.ConfigError, match=said) as caught:
+def test_mistakes_are_named_with_valid_values(text, message):
+    with pytest.raises(pliant.ConfigError, match=message) as error:
         config.parse(text, source="arm.toml")
-    assert str(caught.value).startswith("arm.toml")
-    assert "http" not in str(caught.value)
+    assert str(error.value).startswith("arm.toml")
+    assert "http" not in str(error.value)
 
 
 @pytest.mark.parametrize(
-    ("rest", "said"),
+    ("rest_q", "message"),
     [([0.0, 0.0], r"life\.rest_q has shape \(2,\)"), ([0.0] * 4 + [90.0], "are these degrees")],
 )
-def test_a_rest_pose_of_another_arm_is_named_with_its_file(rest, said):
-    read = config.parse(f"{SIM}[life]\nrest_q = {rest}", source="arm.toml")
-    with pytest.raises(pliant.ConfigError, match=said) as caught:
-        pliant.connect(read)
-    assert str(caught.value).startswith("arm.toml")
+def test_a_rest_pose_of_another_arm_is_named_with_its_file(rest_q, message):
+    arm_config = config.parse(f"{SIM}[life]\nrest_q = {rest_q}", source="arm.toml")
+    with pytest.raises(pliant.ConfigError, match=message) as error:
+        pliant.connect(arm_config)
+    assert str(error.value).startswith("arm.toml")
 
 
-def test_all_mistakes_are_said_at_once():
-    with pytest.raises(pliant.ConfigError) as caught:
+def test_all_mistakes_are_reported_together():
+    with pytest.raises(pliant.ConfigError) as error:
         config.parse("robto = 1\n[loop]\nrate = 0\n[port]\nx = 1")
-    first, *lines = str(caught.value).splitlines()
+    first, *lines = str(error.value).splitlines()
     assert first == "configuration has 4 mistakes:"
     assert [line.split()[0] for line in lines] == ["robot", "port", "loop.rate", "robto"]
 
 
-def test_mistakes_of_settings_and_servos_are_said_with_the_rest():
+def test_mistakes_in_settings_and_servos_are_reported_with_the_others():
     text = SIM.replace("backend", "bakend = 1\nbackend") + (
         '[loop]\nrate = -1\n[servo]\na = { model = "STS3512-7.4V", id = "4" }\n[settings]\n'
         'lw = "cap"\nmax_tool_speed = -1\ntask = "xyz"\n'
         "axes.y = { sofft = 3, adaptation = 4 }\naxes.z = { soft = -3 }\naxes.yaw = { soft = 3 }\n"
         "axes.roll = { soft = 3 }\n"
     )
-    with pytest.raises(pliant.ConfigError) as caught:
+    with pytest.raises(pliant.ConfigError) as error:
         config.parse(text)
-    for said in (
+    for message in (
         "bakend is not a key here",
         "loop.rate = -1",
         "servo.a.model: ",
@@ -143,19 +143,19 @@ def test_mistakes_of_settings_and_servos_are_said_with_the_rest():
         "settings: axes.yaw: 'yaw' is not an axis of the task",
         "settings: axes.roll: 'roll' is not an axis of the task",
     ):
-        assert str(caught.value).count(said) == 1, said
+        assert str(error.value).count(message) == 1, message
 
 
 @pytest.mark.parametrize("first", ['task = "xyzq"', 'law = "capp"'])
-def test_what_depends_on_a_wrong_field_is_not_judged(first):
-    with pytest.raises(pliant.ConfigError) as caught:
+def test_fields_that_depend_on_an_invalid_one_are_not_checked(first):
+    with pytest.raises(pliant.ConfigError) as error:
         config.parse(SIM + f"[settings]\n{first}\ntracking.gain = [1.0, 1.0, 1.0]\n")
-    assert str(caught.value).count("settings: ") == 1
-    assert "gain" not in str(caught.value).splitlines()[0]
+    assert str(error.value).count("settings: ") == 1
+    assert "gain" not in str(error.value).splitlines()[0]
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ('[servo.a]\nmodel = "MX-64"\nid = 1\nkp = "4.7"', r"servo\.a\.kp = '4\.7'"),
         ("[servo.a]\nmodel = 'MX-64'\nid = true", r"servo\.a\.id = True"),
@@ -164,13 +164,13 @@ def test_what_depends_on_a_wrong_field_is_not_judged(first):
         ("[life]\nrest_q = ['0', 0, 0, 0, 0]", r"life\.rest_q\[0\] = '0'"),
     ],
 )
-def test_a_number_in_quotes_is_none(text, said):
-    with pytest.raises(pliant.ConfigError, match=said):
+def test_a_number_in_quotes_is_refused(text, message):
+    with pytest.raises(pliant.ConfigError, match=message):
         config.parse(SIM + text)
 
 
 def test_settings_go_through_the_same_code_as_in_python():
-    read = config.parse(
+    arm_config = config.parse(
         'backend = "sim"\npreset = { name = "soft", axes = "y" }\nrobot.builtin = "arm7"\n'
         "[loop]\nrate = 200\n"
         "[settings]\nlaw = 'cap'\n[settings.axes.x]\nhold = 30.0\nfirm = [5.0, 9.0]\n"
@@ -178,7 +178,7 @@ def test_settings_go_through_the_same_code_as_in_python():
     by_hand = pliant.Settings.soft(
         "y", law="cap", rate=200.0, axes={"x": pliant.Axis(hold=30.0, firm=(5.0, 9.0))}
     )
-    assert read.settings() == by_hand
+    assert arm_config.settings() == by_hand
 
 
 def test_the_command_line_replaces_port_and_backend(tmp_path):
@@ -192,8 +192,10 @@ def test_the_command_line_replaces_port_and_backend(tmp_path):
 
 @pytest.mark.parametrize("backend", ["sim", "emulator"])
 def test_a_port_for_a_backend_that_opens_none_is_refused(backend):
-    said = rf"port /dev/ttyX is for servos on a bus, and backend '{backend}' opens no serial port"
-    with pytest.raises(pliant.ConfigError, match=said):
+    message = (
+        rf"port /dev/ttyX is for servos on a bus, and backend '{backend}' opens no serial port"
+    )
+    with pytest.raises(pliant.ConfigError, match=message):
         config.load("so101", port="/dev/ttyX", backend=backend)
 
 
@@ -210,7 +212,7 @@ def test_a_gain_that_a_servo_does_not_keep_is_rejected():
         config.parse(SIM + '[servo.a]\nmodel = "XM430-W350"\nid = 1\ngain = 800')
 
 
-def test_files_that_are_not_there(tmp_path):
+def test_missing_files(tmp_path):
     with pytest.raises(pliant.ConfigError, match="so101"):
         config.load("so-101")
     with pytest.raises(pliant.ConfigError, match=r"no file .*arm\.toml"):
@@ -224,39 +226,39 @@ def test_directions_of_the_ready_so101_match_the_makers_model():
     urdf = ROBOTS / "so101" / "so101_new_calib.urdf"
     if not urdf.is_file():
         pytest.skip(f"no {urdf}")
-    read = config.load("so101")
-    own, makers = read.model(), pliant.Model.from_urdf(urdf, tip="gripper_frame_link")
-    signs = np.array([read.servo[joint].sign for joint in own.joint_names])
-    for joint in range(own.n):
-        counts = np.eye(own.n)[joint] * 0.4
-        turn = [
+    arm_config = config.load("so101")
+    model, makers_model = arm_config.model(), pliant.Model.from_urdf(urdf, tip="gripper_frame_link")
+    signs = np.array([arm_config.servo[joint].sign for joint in model.joint_names])
+    for joint in range(model.n):
+        counts = np.eye(model.n)[joint] * 0.4
+        rotation = [
             np.asarray(
                 m.forward_kinematics(q)[:3, :3] @ m.forward_kinematics(np.zeros(5))[:3, :3].T
             )
-            for m, q in ((own, signs * counts), (makers, counts))
+            for m, q in ((model, signs * counts), (makers_model, counts))
         ]
-        np.testing.assert_allclose(turn[0], turn[1], atol=0.06)
+        np.testing.assert_allclose(rotation[0], rotation[1], atol=0.06)
 
 
-@pytest.mark.parametrize("name", OWN)
+@pytest.mark.parametrize("name", READY_FILES)
 def test_a_file_for_a_built_in_model_takes_no_other_urdf(name):
-    said = r"model '\w+': its signs and zeros are wrong for my\.urdf.*docs/robots/so101\.md"
-    with pytest.raises(pliant.ConfigError, match=said):
+    message = r"model '\w+': its signs and zeros are wrong for my\.urdf.*docs/robots/so101\.md"
+    with pytest.raises(pliant.ConfigError, match=message):
         config.load(name, urdf="my.urdf")
 
 
 @contextmanager
-def makers_arm(read):
-    """Yield the arm of a configuration, on emulated servos in emulated time."""
-    if read.backend == "sim":
-        with pliant.connect(read, handle_signals=False) as arm:
+def makers_arm(arm_config):
+    """Yield the arm of a configuration: simulated, or on emulated servos in emulated time."""
+    if arm_config.backend == "sim":
+        with pliant.connect(arm_config, handle_signals=False) as arm:
             yield arm
         return
-    with make_emulator(read, clock="steps") as bus:
-        specs = factory.servo_specs(read, bus.ports)
+    with make_emulator(arm_config, clock="steps") as bus:
+        specs = factory.servo_specs(arm_config, bus.ports)
         drive = ServoBus(specs, reply_timeout_min=0.5, clock=ManualClock(bus))
-        grippers = factory.gripper_configs(read)
-        with pliant.Arm(read.model(), drive, grippers=grippers, handle_signals=False) as arm:
+        grippers = factory.gripper_configs(arm_config)
+        with pliant.Arm(arm_config.model(), drive, grippers=grippers, handle_signals=False) as arm:
             yield arm
 
 
@@ -270,9 +272,9 @@ def test_the_file_for_the_makers_so101_runs_as_printed(backend, tmp_path):
     urdf = ROBOTS / "so101" / "so101_new_calib.urdf"
     if not urdf.is_file():
         pytest.skip(f"no {urdf}")
-    read = config.load(file, backend=backend, urdf=urdf)
-    with makers_arm(read) as arm:
-        controller = pliant.Controller(arm.model, read.settings(), arm.servos)
+    arm_config = config.load(file, backend=backend, urdf=urdf)
+    with makers_arm(arm_config) as arm:
+        controller = pliant.Controller(arm.model, arm_config.settings(), arm.servos)
         start = arm.read().q
         target = arm.model.forward_kinematics(start)
         for tick in pliant.Loop(arm, controller, duration=0.3):
@@ -291,8 +293,8 @@ def test_zero_comes_from_the_file_then_from_the_calibration(tmp_path):
         'calibration = "cal.json"\n[servo]\nshoulder_pan = { model = "STS3215-7.4V", id = 1 }\n'
         'elbow_flex = { model = "STS3215-7.4V", id = 3, zero = 7 }\n'
     ).replace('calibration = "cal.json"\n', "")
-    read = config.parse('calibration = "cal.json"\n' + text, folder=tmp_path)
-    assert zeros(read) == {"shoulder_pan": 2000.5, "elbow_flex": 7.0}
+    arm_config = config.parse('calibration = "cal.json"\n' + text, folder=tmp_path)
+    assert zeros(arm_config) == {"shoulder_pan": 2000.5, "elbow_flex": 7.0}
     other = config.parse(
         'calibration = "cal.json"\n' + text.replace("id = 1", "id = 2"), folder=tmp_path
     )
@@ -301,39 +303,39 @@ def test_zero_comes_from_the_file_then_from_the_calibration(tmp_path):
 
 
 def test_a_bound_on_a_dead_host_reaches_the_servos_from_the_file():
-    """Run a loop over the arm of a file, with and without `max_host_loss_force`."""
+    """Run loops with the arm of a file, with and without `max_host_loss_force`."""
     work = np.array([-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657])
     text = 'backend = "sim"\nrobot.builtin = "arm7"\n[settings]\naxes.y = { soft = 4.0 }\n'
-    left, sent = [], []
+    residuals, commands = [], []
     for bound in ("", "torque_limits.max_host_loss_force = 44.0\n"):
-        read = config.parse(text + bound)
-        still = pliant.connect(read)
-        still.drive.plant.reset(work)
-        with still as arm:
-            controller = pliant.Controller(arm.model, read.settings(), arm.servos)
+        arm_config = config.parse(text + bound)
+        connected = pliant.connect(arm_config)
+        connected.drive.plant.reset(work)
+        with connected as arm:
+            controller = pliant.Controller(arm.model, arm_config.settings(), arm.servos)
             for tick in pliant.Loop(arm, controller, duration=0.5):
                 command = controller.step_joints(tick.q, work, dt=tick.dt)
                 tick.write(command)
             assert np.abs(arm.read().q - work).max() < 1e-3, "it stands"
             axes = controller.report().axes
-            left.append(max(max(axes[axis].host_loss_force) for axis in "xyz"))
-            sent.append(command.torque_limit)
-    assert left[0] > 46.0
-    assert left[1] <= 44.0
-    assert np.all(sent[1] <= sent[0] + 1e-9)
+            residuals.append(max(max(axes[axis].host_loss_force) for axis in "xyz"))
+            commands.append(command.torque_limit)
+    assert residuals[0] > 46.0
+    assert residuals[1] <= 44.0
+    assert np.all(commands[1] <= commands[0] + 1e-9)
     with pytest.raises(pliant.ConfigError, match="did you mean 'max_host_loss_force'"):
         config.parse(text + "torque_limits.max_host_loss_forc = 44.0\n").settings()
 
 
-def test_a_wrong_task_is_said_once_and_as_the_task():
-    with pytest.raises(pliant.ConfigError) as caught:
+def test_an_invalid_task_is_reported_once():
+    with pytest.raises(pliant.ConfigError) as error:
         config.parse(SIM + "[settings]\ntask = { axes = 3 }\naxes.y = { frim = 1.0 }\n")
-    assert str(caught.value).count("settings: task.") == 1
-    assert "frim" in str(caught.value)
+    assert str(error.value).count("settings: task.") == 1
+    assert "frim" in str(error.value)
 
 
 def test_a_wrong_loop_does_not_hide_a_wrong_preset():
-    with pytest.raises(pliant.ConfigError) as caught:
+    with pytest.raises(pliant.ConfigError) as error:
         config.parse('preset = "soft"\n' + SIM + "[loop]\nrate = -1\n")
-    assert "loop.rate = -1" in str(caught.value)
-    assert 'preset "soft" needs its axes' in str(caught.value)
+    assert "loop.rate = -1" in str(error.value)
+    assert 'preset "soft" needs its axes' in str(error.value)

@@ -17,7 +17,7 @@ def test_a_file_is_read_as_it_is(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("entry", "said"),
+    ("entry", "message"),
     [
         ({k: v for k, v in MOTOR.items() if k != "range_max"}, "lacks range_max"),
         ({**MOTOR, "range_mni": 3}, "did you mean 'range_min'"),
@@ -29,14 +29,14 @@ def test_a_file_is_read_as_it_is(tmp_path):
         ([], "is not a table"),
     ],
 )
-def test_what_is_wrong_with_a_motor_is_named(tmp_path, entry, said):
+def test_invalid_entries_of_a_motor_are_named(tmp_path, entry, message):
     file = tmp_path / "arm.json"
     file.write_text(json.dumps({"shoulder_pan": entry}))
-    with pytest.raises(pliant.ConfigError, match=said):
+    with pytest.raises(pliant.ConfigError, match=message):
         read_calibration(file)
 
 
-def test_files_that_are_no_calibration(tmp_path):
+def test_files_that_are_not_calibrations(tmp_path):
     with pytest.raises(pliant.ConfigError, match="lerobot-calibrate"):
         read_calibration(tmp_path / "none.json")
     for text in ("{", "[]", "{}", '"x"'):
@@ -58,13 +58,13 @@ def test_a_number_that_no_register_holds_is_refused(tmp_path, key):
 
 
 @pytest.mark.parametrize(("key", "count"), [("range_min", -1), ("range_max", 4096)])
-def test_a_range_that_the_encoder_has_not_is_refused(tmp_path, key, count):
+def test_a_range_outside_the_encoder_is_refused(tmp_path, key, count):
     (tmp_path / "cal.json").write_text(json.dumps({"shoulder_pan": {**MOTOR, key: count}}))
     text = (
         'robot.builtin = "so101"\ncalibration = "cal.json"\n[[port]]\npath = "/dev/x"\n[servo]\n'
         'shoulder_pan = { model = "STS3215-7.4V", id = 1 }\n'
     )
-    read = pliant.config.parse(text, folder=tmp_path)
-    said = rf"shoulder_pan\.{key} is {count}, and positions of STS3215-7\.4V run from 0 to 4095"
-    with pytest.raises(pliant.ConfigError, match=said):
-        zeros(read)
+    arm_config = pliant.config.parse(text, folder=tmp_path)
+    message = rf"shoulder_pan\.{key} is {count}, and positions of STS3215-7\.4V run from 0 to 4095"
+    with pytest.raises(pliant.ConfigError, match=message):
+        zeros(arm_config)

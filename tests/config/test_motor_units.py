@@ -1,4 +1,4 @@
-"""Joint positions in LeRobot's units, against LeRobot's formulas for its motors."""
+"""Joint positions in the units of LeRobot, compared with its formulas."""
 
 import json
 import math
@@ -18,7 +18,7 @@ def calibrated(folder, name="so101", **changes):
 
 
 def lerobot_value(count, entry, norm, *, is_feetech):
-    """Return the value of a count by the documented rules of LeRobot's `MotorsBus`."""
+    """Convert an encoder count to LeRobot's units by the documented rules of its `MotorsBus`."""
     low, high = entry["range_min"], entry["range_max"]
     if norm == "degrees":
         return (count - (low + high) / 2) * 360 / 4095
@@ -36,8 +36,8 @@ def lerobot_value(count, entry, norm, *, is_feetech):
 @pytest.mark.parametrize("name", ["so101", "koch"])
 def test_values_are_those_of_lerobot(name, mode, use_degrees, tmp_path):
     changes = {joint: {"drive_mode": mode} for joint in ("elbow_flex", "gripper")}
-    own, table = calibrated(tmp_path, name, **changes)
-    units = config.motor_units(own, own.model(), use_degrees=use_degrees)
+    arm_config, table = calibrated(tmp_path, name, **changes)
+    units = config.motor_units(arm_config, arm_config.model(), use_degrees=use_degrees)
     assert tuple(units) == JOINTS
     for joint, unit in units.items():
         norm = "range_0_100" if joint == "gripper" else unit.norm
@@ -53,8 +53,8 @@ def test_values_are_those_of_lerobot(name, mode, use_degrees, tmp_path):
 
 
 def test_zero_of_a_joint_is_the_middle_and_of_a_gripper_closed(tmp_path):
-    own, _ = calibrated(tmp_path)
-    units = config.motor_units(own, own.model())
+    arm_config, _ = calibrated(tmp_path)
+    units = config.motor_units(arm_config, arm_config.model())
     for joint in JOINTS[:-1]:
         assert units[joint].value(0.0) == pytest.approx(0.0, abs=1e-9)
     assert units["gripper"].value(0.0) == pytest.approx(0.0)
@@ -63,9 +63,9 @@ def test_zero_of_a_joint_is_the_middle_and_of_a_gripper_closed(tmp_path):
 
 
 def test_without_a_calibration_the_ranges_are_the_position_limits():
-    own = config.load("so101")
-    model = own.model()
-    units = config.motor_units(own, model, use_degrees=False)
+    arm_config = config.load("so101")
+    model = arm_config.model()
+    units = config.motor_units(arm_config, model, use_degrees=False)
     lower = [units[joint].value(low) for joint, low in zip(JOINTS, model.lower, strict=False)]
     np.testing.assert_allclose(np.abs(lower), 100.0)
     assert units["gripper"].value(0.0) == pytest.approx(0.0)
@@ -73,19 +73,19 @@ def test_without_a_calibration_the_ranges_are_the_position_limits():
 
 
 def test_a_file_without_servos_is_refused():
-    own = config.parse('backend = "sim"\nrobot.builtin = "arm7"\n')
+    arm_config = config.parse('backend = "sim"\nrobot.builtin = "arm7"\n')
     with pytest.raises(pliant.ConfigError, match=r"its servo in \[servo\]"):
-        config.motor_units(own, own.model())
+        config.motor_units(arm_config, arm_config.model())
 
 
 def test_calibrations_are_found_where_each_version_left_them(tmp_path, monkeypatch):
     monkeypatch.setenv("HF_LEROBOT_CALIBRATION", str(tmp_path))
-    for place in ("robots/so101_follower", "robots/koch_follower", "teleoperators/so_leader"):
-        (tmp_path / place).mkdir(parents=True)
+    for subfolder in ("robots/so101_follower", "robots/koch_follower", "teleoperators/so_leader"):
+        (tmp_path / subfolder).mkdir(parents=True)
     (tmp_path / "robots/so101_follower/mine.json").write_text("{}")
     (tmp_path / "teleoperators/so_leader/lead.json").write_text("{}")
-    found = config.find_calibration("mine", "so101")
-    assert found == tmp_path / "robots/so101_follower/mine.json"
+    path = config.find_calibration("mine", "so101")
+    assert path == tmp_path / "robots/so101_follower/mine.json"
     leader = config.find_calibration("lead", "so100", "teleoperators")
     assert leader.parent.name == "so_leader"
     (tmp_path / "robots/so_follower").mkdir()
@@ -94,6 +94,6 @@ def test_calibrations_are_found_where_each_version_left_them(tmp_path, monkeypat
     assert config.find_calibration("mine", "my_arm.toml").parent.name == "so_follower"
     with pytest.raises(pliant.ConfigError, match=r"'mine' .*koch_follower: run lerobot-calibrate"):
         config.find_calibration("mine", "koch")
-    # A leader with the same id as a follower is another arm.
+    # Leaders and followers with the same id are different arms.
     with pytest.raises(pliant.ConfigError, match=r"'lead' .*so_follower; there are mine"):
         config.find_calibration("lead", "so101")

@@ -1,4 +1,4 @@
-"""The arm assumes the servo parameters of its file on every backend."""
+"""On every backend the arm assumes the servo parameters of its file."""
 
 import tomllib
 from pathlib import Path
@@ -16,8 +16,8 @@ from pliant.emulator import ManualClock
 from pliant.servo import ServoBus
 
 ROBOTS = Path(__file__).parents[3] / "shared" / "robots"
-#: Ready files, and other robots with a file of their own.
-OWN = ("arm7", "koch", "so100", "so101")
+#: Robots that have a ready file.
+READY_FILES = ("arm7", "koch", "so100", "so101")
 KOCH = """
 [robot]
 urdf = "{urdf}"
@@ -33,8 +33,8 @@ voltage = {volts}
 
 
 def read(name, tmp_path, backend):
-    """Read the configuration of a ready file, or of a robot of the collection."""
-    if name in OWN:
+    """Read the configuration of a ready file, or of another robot with a file of this test."""
+    if name in READY_FILES:
         return config.load(name, backend=backend)
     if name == "vx300s":
         urdf = ROBOTS / "vx300s" / "vx300s.urdf"
@@ -49,13 +49,17 @@ def read(name, tmp_path, backend):
     return config.load(file, backend=backend)
 
 
-def on_bytes(own, model):
-    """Return the values that the driver of a real bus reads from such servos."""
-    with make_emulator(own, clock="steps") as bus:
-        chain = ServoBus(
-            factory.servo_specs(own, bus.ports), reply_timeout_min=0.5, clock=ManualClock(bus)
+def on_bytes(arm_config, model):
+    """Return what the driver of a real bus reads from emulated servos of a configuration."""
+    with make_emulator(arm_config, clock="steps") as bus:
+        servo_bus = ServoBus(
+            factory.servo_specs(arm_config, bus.ports),
+            reply_timeout_min=0.5,
+            clock=ManualClock(bus),
         )
-        arm = pliant.Arm(model, chain, grippers=factory.gripper_configs(own), handle_signals=False)
+        arm = pliant.Arm(
+            model, servo_bus, grippers=factory.gripper_configs(arm_config), handle_signals=False
+        )
         arm.open()
         try:
             return arm.servos, bus.plant.gains, arm.model.servos
@@ -64,19 +68,19 @@ def on_bytes(own, model):
 
 
 @pytest.mark.pty
-@pytest.mark.parametrize("name", [*OWN, "vx300s", "koch by its URDF"])
+@pytest.mark.parametrize("name", [*READY_FILES, "vx300s", "koch by its URDF"])
 def test_the_arm_assumes_the_same_servos_on_every_backend(name, tmp_path):
-    own = read(name, tmp_path, "sim")
-    model = own.model()
-    arm = pliant.connect(own, handle_signals=False)
+    simulated_config = read(name, tmp_path, "sim")
+    model = simulated_config.model()
+    arm = pliant.connect(simulated_config, handle_signals=False)
     simulated, truth = arm.servos, arm.drive.plant.gains
-    heard, _, _ = on_bytes(read(name, tmp_path, "emulator"), model)
-    for table in (heard, model.servos, arm.model.servos):
+    bus_servos, _, _ = on_bytes(read(name, tmp_path, "emulator"), model)
+    for table in (bus_servos, model.servos, arm.model.servos):
         for field in (*COLUMNS, "no_load_speed"):
-            mine, other = getattr(simulated, field), getattr(table, field)
-            assert (mine is None) == (other is None), field
-            if mine is not None:
-                np.testing.assert_allclose(mine, other, rtol=1e-9, err_msg=field)
+            value, other = getattr(simulated, field), getattr(table, field)
+            assert (value is None) == (other is None), field
+            if value is not None:
+                np.testing.assert_allclose(value, other, rtol=1e-9, err_msg=field)
         assert (simulated.limit_type, simulated.stiffness_known) == (
             table.limit_type,
             table.stiffness_known,
@@ -104,24 +108,24 @@ def test_options_of_the_plant_do_not_change_the_assumptions():
 
 
 def test_the_gripper_of_the_simulator_has_the_servo_of_the_file():
-    own = config.load("koch", backend="sim")
-    arm = pliant.connect(own, handle_signals=False)
+    arm_config = config.load("koch", backend="sim")
+    arm = pliant.connect(arm_config, handle_signals=False)
     drive = arm.drive
-    at = drive.names.index("gripper")
+    index = drive.names.index("gripper")
     servo = drive.plant.mj_model.actuator("gripper")
-    assert drive.servos.kp[at] == pytest.approx(0.72, rel=0.01)
-    assert servo.gainprm[0] == pytest.approx(drive.servos.kp[at])
-    assert arm.gripper.max_limit == pytest.approx(drive.servos.max_torque[at])
+    assert drive.servos.kp[index] == pytest.approx(0.72, rel=0.01)
+    assert servo.gainprm[0] == pytest.approx(drive.servos.kp[index])
+    assert arm.gripper.max_limit == pytest.approx(drive.servos.max_torque[index])
 
 
 @pytest.mark.pty
 @pytest.mark.parametrize("kp", [True, False])
 def test_k_p_is_known_where_the_file_has_it_for_the_whole_chain(kp):
-    ready = tomllib.loads((Path(config.__file__).parent / "arms" / "so101.toml").read_text("utf-8"))
+    table = tomllib.loads((Path(config.__file__).parent / "arms" / "so101.toml").read_text("utf-8"))
     lines = [
         f'{joint} = {{ model = "STS3215-7.4V", id = {servo["id"]}'
         + (", kp = 5.0 }" if kp or joint != "wrist_roll" else " }")
-        for joint, servo in ready["servo"].items()
+        for joint, servo in table["servo"].items()
     ]
     text = (
         'backend = "{}"\nrobot.builtin = "so101"\n[servo]\n' + "\n".join(lines) + "\n[gripper]\n"
@@ -130,11 +134,11 @@ def test_k_p_is_known_where_the_file_has_it_for_the_whole_chain(kp):
     simulated = config.parse(text.replace("{{", "{").replace("}}", "}").replace("{}", "sim"))
     assert pliant.connect(simulated, handle_signals=False).servos.stiffness_known is kp
     wired = config.parse(text.replace("{{", "{").replace("}}", "}").replace("{}", "emulator"))
-    heard, _, _ = on_bytes(wired, wired.model())
-    assert heard.stiffness_known is kp
+    bus_servos, _, _ = on_bytes(wired, wired.model())
+    assert bus_servos.stiffness_known is kp
 
 
-def test_a_finger_without_ends_that_no_file_describes_stays(tmp_path):
+def test_a_finger_without_limits_and_servo_is_fixed(tmp_path):
     """A finger without limits in the URDF and without a servo in the file is a fixed joint."""
     link = '<link name="{0}"><inertial><mass value="0.1"/><inertia ixx="1e-4" iyy="1e-4" \
 izz="1e-4" ixy="0" ixz="0" iyz="0"/></inertial></link>'

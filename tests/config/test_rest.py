@@ -17,7 +17,7 @@ from pliant.config.factory import ARM_OPTIONS, PLANT_OPTIONS
 from pliant.sim import Plant, Tabletop
 
 ROBOTS = Path(__file__).parents[3] / "shared" / "robots"
-OWN = ("arm7", "koch", "so100", "so101")
+READY_FILES = ("arm7", "koch", "so100", "so101")
 
 
 def load(name, **options):
@@ -29,90 +29,96 @@ def load(name, **options):
     return config.load(name, urdf=urdf, **options)
 
 
-def test_every_ready_file_has_a_rest_pose_and_a_table_or_none():
+def test_ready_files_have_rest_pose_and_table_or_neither():
     for name in config.list_arms():
-        read = config.load(name)
-        assert read.life.rest_q is not None, name
-        assert (read.robot.table is None) == (name == "arm7"), name
+        arm_config = config.load(name)
+        assert arm_config.life.rest_q is not None, name
+        assert (arm_config.robot.table is None) == (name == "arm7"), name
 
 
-@pytest.mark.parametrize("name", [*OWN, "vx300s"])
+@pytest.mark.parametrize("name", [*READY_FILES, "vx300s"])
 def test_a_rest_pose_lies_within_limits_above_the_table_and_presses_on_nothing(name):
-    read = load(name)
-    model, rest = read.model(), np.array(read.life.rest_q)
-    assert np.all(rest >= model.lower)
-    assert np.all(rest <= model.upper)
-    if read.robot.table is None:
-        weight = np.abs(model.gravity(rest))
+    arm_config = load(name)
+    model, rest_q = arm_config.model(), np.array(arm_config.life.rest_q)
+    assert np.all(rest_q >= model.lower)
+    assert np.all(rest_q <= model.upper)
+    if arm_config.robot.table is None:
+        weight = np.abs(model.gravity(rest_q))
         assert np.all(weight < model.servos.friction), "gears hold it where it hangs"
         return
-    table = Tabletop(height=read.robot.table)
+    table = Tabletop(height=arm_config.robot.table)
     plant = Plant(model, scene=[table])
-    plant.reset(rest)
+    plant.reset(rest_q)
     assert table.clearance() >= 0.0
-    off = dict.fromkeys(plant.read().extra, (0.0, 0.0))
+    gripper_command = dict.fromkeys(plant.read().extra, (0.0, 0.0))
     for _ in range(300):
-        plant.write(plant.q, np.zeros(plant.n), off)
+        plant.write(plant.q, np.zeros(plant.n), gripper_command)
         plant.advance()
-    # Without torque the arm sinks onto table or stops; the tool does not enter the table.
+    # Without torque the arm sinks onto the table or its stops; the tool does not enter the table.
     assert table.clearance() > -1e-3
-    assert plant.tool[2, 3] > read.robot.table
+    assert plant.tool[2, 3] > arm_config.robot.table
     assert np.abs(plant.dq).max() < 0.05
 
 
 @pytest.mark.parametrize("name", ["koch", "so101", "vx300s"])
 def test_an_arm_of_a_ready_file_is_parked_and_lies_on_its_table(name):
-    read = load(name, backend="sim")
-    arm = pliant.connect(read, handle_signals=False)
+    arm_config = load(name, backend="sim")
+    arm = pliant.connect(arm_config, handle_signals=False)
     plant = arm.drive.plant
     (table,) = plant.fixtures
-    rest = np.array(read.life.rest_q)
-    lowest, gone = np.inf, []
+    rest_q = np.array(arm_config.life.rest_q)
+    lowest, states = np.inf, []
 
     def look():
         nonlocal lowest
         lowest = min(lowest, table.clearance())
-        gone.append(np.abs(plant.q - rest).max())
+        states.append(np.abs(plant.q - rest_q).max())
 
     with arm:
         assert np.abs(plant.q).max() < 0.05, "it starts in a pose to work from"
         arm.clock.on_tick = look
     assert arm.detour is None
-    assert min(gone) < 0.15, "it went by its rest pose"
+    assert min(states) < 0.15, "it went by its rest pose"
     assert lowest > -2e-3
     assert np.abs(plant.dq).max() < 0.05
     assert not arm.enabled
 
 
-#: Posture bent forward [rad]. On the straight path to the rest pose, the tool would be 5 cm below
-#: the table at half way.
-BARRED = [0.0, 1.24, 1.23, 1.24, 0.0]
+#: Posture bent forward [rad]: half-way on the straight path to the rest pose, the tool would be
+#: 5 cm below the table.
+BLOCKED_POSE = [0.0, 1.24, 1.23, 1.24, 0.0]
 
 
-def test_a_way_through_the_table_is_found():
+def test_a_path_through_the_table_is_detected():
     model = pliant.robots.so101()
-    points, rest = ArmPoints(model), np.array(config.load("so101").life.rest_q)
+    points, rest_q = ArmPoints(model), np.array(config.load("so101").life.rest_q)
 
     def lowest(share):
-        return points.position(np.array(BARRED) + share * (rest - BARRED))[:, 2].min()
+        return points.position(np.array(BLOCKED_POSE) + share * (rest_q - BLOCKED_POSE))[:, 2].min()
 
-    way = [lowest(share) for share in np.linspace(0.0, 1.0, STEPS)]
-    assert min(way[0], way[-1]) > 0.0 > -0.008 > min(way)
-    said = path_obstacle(model, points, np.array(BARRED), rest, 0.0)
-    assert said == f"the way to the rest pose leads the tool {-min(way):.3f} m into the table"
-    for free, table in ((np.zeros(5), 0.0), (np.array(BARRED), None), (np.array(BARRED), -0.1)):
-        assert path_obstacle(model, points, free, rest, table) is None
-    # A point that starts below the table may move up, but not farther down.
-    inside, out = np.array([0.0, 1.3, 0.9, 0.0, 0.0]), np.array([0.0, 1.3, 1.7, 0.0, 0.0])
-    assert points.position(inside)[:, 2].min() < -0.09
-    assert path_obstacle(model, points, inside, out, 0.0) is None
+    heights = [lowest(share) for share in np.linspace(0.0, 1.0, STEPS)]
+    assert min(heights[0], heights[-1]) > 0.0 > -0.008 > min(heights)
+    obstacle = path_obstacle(model, points, np.array(BLOCKED_POSE), rest_q, 0.0)
+    assert (
+        obstacle == f"the way to the rest pose leads the tool {-min(heights):.3f} m into the table"
+    )
+    for free, table in (
+        (np.zeros(5), 0.0),
+        (np.array(BLOCKED_POSE), None),
+        (np.array(BLOCKED_POSE), -0.1),
+    ):
+        assert path_obstacle(model, points, free, rest_q, table) is None
+    # A point that starts below the table may move up, but not down.
+    start, goal = np.array([0.0, 1.3, 0.9, 0.0, 0.0]), np.array([0.0, 1.3, 1.7, 0.0, 0.0])
+    assert points.position(start)[:, 2].min() < -0.09
+    assert path_obstacle(model, points, start, goal, 0.0) is None
     assert "the tool 0.1" in path_obstacle(
-        model, points, inside, np.array([0.0, 1.3, 0.3, 0, 0]), 0.0
+        model, points, start, np.array([0.0, 1.3, 0.3, 0, 0]), 0.0
     )
 
 
 def test_an_arm_with_a_blocked_path_to_rest_is_lowered_straight_down():
-    arm = pliant.connect("so101", backend="sim", q=BARRED, handle_signals=False)
+    arm = pliant.connect("so101", backend="sim", q=BLOCKED_POSE, handle_signals=False)
     plant = arm.drive.plant
     (table,) = plant.fixtures
     with arm:
@@ -143,13 +149,13 @@ def test_the_table_can_be_taken_away_moved_and_added_to():
     push = pliant.sim.Push(force_vector=(1.0, 0.0, 0.0))
     arm = pliant.connect("so101", scene=[push], **options)
     assert len(arm.drive.plant.fixtures) == 1
-    assert [felt.hand for felt in arm.drive.plant.hands] == [push]
+    assert [hand.hand for hand in arm.drive.plant.hands] == [push]
     assert pliant.connect("arm7", **options).drive.plant.fixtures == ()
     assert bare_arm("so101", handle_signals=False).drive.plant.fixtures == ()
-    read = config.load("so101", backend="sim")
-    assert pliant.connect(read, table=False, handle_signals=False).drive.plant.fixtures == ()
-    assert pliant.connect(read, table=-0.3, handle_signals=False).table == -0.3
-    assert read.robot.table == 0.0
+    arm_config = config.load("so101", backend="sim")
+    assert pliant.connect(arm_config, table=False, handle_signals=False).drive.plant.fixtures == ()
+    assert pliant.connect(arm_config, table=-0.3, handle_signals=False).table == -0.3
+    assert arm_config.robot.table == 0.0
     with pytest.raises(pliant.ConfigError, match=r"table is a height \[m\], or False"):
         pliant.connect("so101", table=True, **options)
 
@@ -170,11 +176,13 @@ def test_an_emulated_arm_stands_on_the_table_of_its_file():
 
 
 def test_a_simulated_arm_begins_at_its_rest_pose_where_zero_is_in_the_table():
-    read = config.parse(
+    arm_config = config.parse(
         'backend = "sim"\nrobot = { builtin = "so101", table = 0.3 }\n[life]\n'
         "rest_q = [0.0, -0.3, -1.0, 0.0, 0.0]\n"
     )
-    np.testing.assert_array_equal(factory.start_pose(read, read.model()), read.life.rest_q)
+    np.testing.assert_array_equal(
+        factory.start_pose(arm_config, arm_config.model()), arm_config.life.rest_q
+    )
 
 
 def test_backend_sim_takes_the_options_of_the_simulator():
@@ -202,8 +210,8 @@ def test_the_kind_of_a_simulated_arms_servos_is_an_option_of_the_plant():
 
 
 def test_the_typed_options_of_connect_are_those_of_arm_and_plant():
-    def keywords(made):
-        return frozenset(signature(made).parameters)
+    def keywords(arm):
+        return frozenset(signature(arm).parameters)
 
     assert keywords(pliant.Arm) - {"model", "drive"} == ARM_OPTIONS
     assert keywords(pliant.sim.Plant) - {"model", "rate"} == PLANT_OPTIONS
@@ -222,9 +230,11 @@ def test_joint_targets_lead_an_arm_out_of_its_rest_pose(name, soft):
         for tick in pliant.Loop(arm, controller, duration=5.0):
             tick.write(controller.step_joints(tick.q, target, dt=tick.dt))
         arm.leave_enabled()
-    # The joints may differ from the target: friction stops the null-space motion early.
-    # Measured 0.01 to 0.22; 1.4 if the arm gets stuck [rad].
+    # Joints may miss the target, because friction stops the null-space motion early: measured 0.01
+    # to 0.22; 1.4 if the arm gets stuck [rad].
     np.testing.assert_allclose(tick.q, target, atol=0.3)
-    tool, there = (arm.model.forward_kinematics(q)[:3, 3] for q in (tick.q, target))
+    tool, target_tool = (arm.model.forward_kinematics(q)[:3, 3] for q in (tick.q, target))
     # On a soft axis, friction larger than the cap keeps the tool from reaching its target.
-    assert np.linalg.norm(tool - there) < (0.04 if soft else 0.02)  # [m], measured 0.027, 0.014
+    assert np.linalg.norm(tool - target_tool) < (
+        0.04 if soft else 0.02
+    )  # [m], measured 0.027, 0.014

@@ -1,8 +1,8 @@
-"""Contact estimation from Python: estimates of a simulated push, and errors for bad input."""
+"""Contact estimation from Python: estimates of a simulated push, and errors of invalid input."""
 
 import numpy as np
 import pytest
-from mismatch import DRAWN, Mismatch, Parameters
+from mismatch import RANDOM, Mismatch, Parameters
 
 pytest.importorskip("mujoco", reason="contacts are felt in the simulator: extra sim")
 
@@ -20,10 +20,10 @@ def controller(**settings):
     return pliant.Controller(arm(), pliant.Settings.soft("y").replace(**settings))
 
 
-def pushed(contact, force=(0.0, 0.0, 0.0), ticks=200, *, build=Plant, tare=None):
-    """Return the estimates of all ticks.
+def push_estimates(contact, force=(0.0, 0.0, 0.0), ticks=200, *, build=Plant, tare=None):
+    """Return the estimates of all ticks during a push that ramps up from 0.5 to 0.7 s.
 
-    The push ramps up from 0.5 to 0.7 s. The estimator is tared at tick `tare`; None: never.
+    The estimator is tared at tick `tare`; None: never.
     """
     course = ForceProfile(start=0.5, rise=0.2, end=10.0)
     plant = build(arm(), scene=[Push(force_vector=force, course=course)])
@@ -31,21 +31,21 @@ def pushed(contact, force=(0.0, 0.0, 0.0), ticks=200, *, build=Plant, tare=None)
     plant.reset(VERTICAL)
     ctl.reset(VERTICAL)
     target = arm().forward_kinematics(VERTICAL)
-    seen = []
+    records = []
     for tick in range(ticks):
-        reading = plant.read().q
+        q = plant.read().q
         if tick == tare:
             contact.tare()
-        seen.append(contact.update(reading))
-        command = ctl.step(reading, target)
+        records.append(contact.update(q))
+        command = ctl.step(q, target)
         plant.write(command.goal, command.torque_limit)
         plant.advance()
-    return seen
+    return records
 
 
 @pytest.mark.parametrize("force", [(0.0, 0.0, 8.0), (-6.0, 0.0, 0.0), (3.0, 2.0, -5.0)])
 def test_a_push_is_felt_within_the_bound(force):
-    last = pushed(pliant.ContactEstimator(controller(), **KNOWN), force)[-1]
+    last = push_estimates(pliant.ContactEstimator(controller(), **KNOWN), force)[-1]
     error = np.abs(last.force_base[:3] - force)
     assert (error <= last.uncertainty_base[:3]).all()
     assert error.max() < 1.5  # [N], measured 0.6
@@ -56,16 +56,16 @@ def test_a_push_is_felt_within_the_bound(force):
 
 def test_events_come_with_their_thresholds_and_their_time():
     contact = pliant.ContactEstimator(controller(), touch={"xyz": 4.0}, stop={"z": 7.0}, **KNOWN)
-    seen = pushed(contact, (0.0, 0.0, 9.0))
-    touched = [bool(felt.touch[2]) for felt in seen]
-    stopped = [bool(felt.stop[2]) for felt in seen]
-    assert not any(touched[:50])
-    assert 50 < touched.index(True) < stopped.index(True) < 90
+    result = push_estimates(contact, (0.0, 0.0, 9.0))
+    touches = [bool(estimate.touch[2]) for estimate in result]
+    stops = [bool(estimate.stop[2]) for estimate in result]
+    assert not any(touches[:50])
+    assert 50 < touches.index(True) < stops.index(True) < 90
     assert contact.latency == pytest.approx(0.06)
 
 
 def test_nothing_is_claimed_before_a_command_was_in_force():
-    first = pushed(pliant.ContactEstimator(controller(), **KNOWN), ticks=1)[0]
+    first = push_estimates(pliant.ContactEstimator(controller(), **KNOWN), ticks=1)[0]
     assert (first.force == 0.0).all()
     assert np.isinf(first.uncertainty).all()
     assert str(first) == "nothing known yet"
@@ -73,22 +73,22 @@ def test_nothing_is_claimed_before_a_command_was_in_force():
 
 def test_saturated_joints_are_named_and_the_estimate_stands():
     contact = pliant.ContactEstimator(controller(), **KNOWN)
-    last = pushed(contact, (0.0, 0.0, 40.0), ticks=120)
-    saturated = [felt for felt in last if felt.saturated.any()]
+    last = push_estimates(contact, (0.0, 0.0, 40.0), ticks=120)
+    saturated = [estimate for estimate in last if estimate.saturated.any()]
     assert saturated
 
 
 def test_a_tare_takes_a_wrong_stiffness_out():
     contact = pliant.ContactEstimator(controller(), kp_error=0.2, gravity_error=0.0)
     gap = Mismatch(plant=Parameters(kp=1.15), assumed=Parameters())
-    seen = pushed(contact, (0.0, 0.0, 8.0), build=gap.build, tare=45)
+    result = push_estimates(contact, (0.0, 0.0, 8.0), build=gap.build, tare=45)
     gap.check(contact.controller)
     assert contact.tared
-    before, after, pressed = seen[44], seen[49], seen[-1]
+    before, after, final = result[44], result[49], result[-1]
     assert np.abs(before.force[:3]).max() > 1.0  # [N], the estimate before the tare
     assert np.abs(after.force[:3]).max() < 0.3
-    error = np.abs(pressed.force_base[:3] - (0.0, 0.0, 8.0))
-    assert (error <= pressed.uncertainty_base[:3]).all()
+    error = np.abs(final.force_base[:3] - (0.0, 0.0, 8.0))
+    assert (error <= final.uncertainty_base[:3]).all()
     contact.clear_tare()
     assert not contact.tared
 
@@ -104,7 +104,7 @@ def test_a_tare_takes_a_wrong_stiffness_out():
         ({"torque_constant": [1.0]}, r"torque_constant has shape \(1,\)"),
     ],
 )
-def test_what_cannot_be_is_refused_by_name(options, text):
+def test_invalid_arguments_are_refused_by_name(options, text):
     with pytest.raises(pliant.PliantError, match=text):
         pliant.ContactEstimator(controller(), **options)
 
@@ -127,33 +127,33 @@ def test_few_joints_look_at_the_axes_of_their_task():
 
 
 def test_events_of_the_experiment_are_those_of_the_core():
-    seen = pushed(
+    result = push_estimates(
         pliant.ContactEstimator(controller(), touch={"z": 5.0}, accept_thresholds=True, **KNOWN),
         (0.0, 0.0, 9.0),
     )
-    beyond = np.array([abs(felt.force[2]) > 5.0 for felt in seen])
-    assert table.events(beyond)[0] == [bool(felt.touch[2]) for felt in seen].index(True)
+    is_above = np.array([abs(estimate.force[2]) > 5.0 for estimate in result])
+    assert table.events(is_above)[0] == [bool(estimate.touch[2]) for estimate in result].index(True)
 
 
 def test_free_motion_stays_within_the_bound_and_strong_contacts_are_seen():
     bench = Bench(MAIN)
-    drawn = Parameters(friction=DRAWN, damping=DRAWN)
-    with Mismatch(plant=Parameters(), assumed=drawn):
+    random_values = Parameters(friction=RANDOM, damping=RANDOM)
+    with Mismatch(plant=Parameters(), assumed=random_values):
         free = [bench.free(number, 20.0) for number in range(2)]
-        met = [bench.contact(number) for number in range(12)]
-    facts = table.estimate_errors(free, met)
+        contacts = [bench.contact(number) for number in range(12)]
+    facts = table.estimate_errors(free, contacts)
     assert facts["free beyond"] < 0.001  # measured 0.0000 in an hour
     assert facts["free rms"] < 1.5  # [N], measured 0.77
     strength = table.STRONG_FORCE * bench.arm.median_capacity[0]
-    guarded = table.evaluate("short", table.Rule("guarded", 0.6), strength, free, met)
+    guarded = table.evaluate("short", table.Rule("guarded", 0.6), strength, free, contacts)
     assert guarded.alarms == 0
     assert guarded.missed <= 0.2  # measured 0.045 of 581
     assert guarded.seen >= 0.6  # measured 0.80
 
 
 def test_a_run_repeats():
-    one, two = (Job(Case("short"), 3, 1.0).run() for _ in range(2))
-    assert (one.felt == two.felt).all()
+    first, second = (Job(Case("short"), 3, 1.0).run() for _ in range(2))
+    assert (first.wrench == second.wrench).all()
 
 
 @pytest.mark.full

@@ -21,20 +21,20 @@ def test_residual_and_feed_forward_have_one_friction(friction_speed):
     speed = np.full(7, SPEED)
     load = model.gravity(Q) + FRICTION * np.tanh(SPEED / friction_speed)
     for _ in range(400):
-        felt = contact.update(Q, dq=speed, load=load, dt=0.01)
-    assert np.abs(felt.torque_residual).max() < 1e-3 * FRICTION
+        estimate = contact.update(Q, dq=speed, load=load, dt=0.01)
+    assert np.abs(estimate.torque_residual).max() < 1e-3 * FRICTION
 
 
-def test_a_bound_that_is_said_is_enough_when_it_is_typed():
+def test_the_bound_of_an_error_message_is_accepted():
     model = pliant.robots.so101()
     controller = pliant.Controller(model, pliant.Settings.firm(task="xyz"))
     contact = pliant.ContactEstimator(controller)
     for axis in ("x", "y", "z"):
         with pytest.raises(pliant.OutOfRangeError) as error:
             pliant.reactions.Force(axis, above=0.01).validate(contact, controller)
-        said = float(str(error.value).partition("outside [")[2].partition(",")[0])
-        pliant.reactions.Force(axis, above=said).validate(contact, controller)
+        bound = float(str(error.value).partition("outside [")[2].partition(",")[0])
+        pliant.reactions.Force(axis, above=bound).validate(contact, controller)
         with pytest.raises(pliant.OutOfRangeError) as error:
             pliant.ContactEstimator(controller, touch={axis: 0.01})
-        said = float(error.value.bound.partition("[")[2].partition(",")[0])
-        pliant.ContactEstimator(controller, touch={axis: said})
+        bound = float(error.value.bound.partition("[")[2].partition(",")[0])
+        pliant.ContactEstimator(controller, touch={axis: bound})

@@ -11,7 +11,7 @@ from pliant.sim.postures import VERTICAL
 TARGET = arm().forward_kinematics(VERTICAL)
 
 
-class Felt:
+class FakeWrench:
     """Stand-in for a `WrenchEstimate` with a given force."""
 
     def __init__(self, force=(0.0,) * 6, bound=(1.0,) * 6, evidence=0.0):
@@ -27,7 +27,7 @@ def controller():
     return ctl
 
 
-def moment(felt=None, **more):
+def moment(wrench=None, **extra):
     fields = {
         "controller": controller(),
         "time": 0.0,
@@ -35,36 +35,36 @@ def moment(felt=None, **more):
         "q": VERTICAL,
         "tool": TARGET,
         "target": TARGET,
-        "wrench": felt or Felt(),
+        "wrench": wrench or FakeWrench(),
     }
-    return rx.TickContext(**{**fields, **more})
+    return rx.TickContext(**{**fields, **extra})
 
 
 def push(z):
-    return moment(Felt((0.0, 0.0, z, 0.0, 0.0, 0.0)))
+    return moment(FakeWrench((0.0, 0.0, z, 0.0, 0.0, 0.0)))
 
 
 def test_force_counts_beyond_threshold_and_uncertainty():
     judge = rx.Force("z", above=8.0).evaluator()
     assert judge(push(-9.0))
     assert not judge(push(7.0))
-    assert not judge(moment(Felt((0, 0, 9.0, 0, 0, 0), bound=(10.0,) * 6)))
+    assert not judge(moment(FakeWrench((0, 0, 9.0, 0, 0, 0), bound=(10.0,) * 6)))
     assert rx.Force("z", above=8.0, accept_thresholds=True).evaluator()(
-        moment(Felt((0, 0, 9.0, 0, 0, 0), bound=(10.0,) * 6))
+        moment(FakeWrench((0, 0, 9.0, 0, 0, 0), bound=(10.0,) * 6))
     )
     assert not rx.Force("z", above=8.0, toward="+").evaluator()(push(-9.0))
     assert rx.Force("xyz", below=2.0).evaluator()(push(1.0))
 
 
 def test_conditions_join_and_print():
-    one, other = rx.Force("z", above=8.0).for_seconds(0.05), ~rx.Deviation("xy", above=0.02)
-    assert repr(one & other) == (
+    first, second = rx.Force("z", above=8.0).for_seconds(0.05), ~rx.Deviation("xy", above=0.02)
+    assert repr(first & second) == (
         "(Force('z', above=8).for_seconds(0.05) & ~Deviation('xy', above=0.02))"
     )
-    assert eval(repr(one | other), vars(rx)) == (one | other)
+    assert eval(repr(first | second), vars(rx)) == (first | second)
     assert (rx.After(0.0) | rx.ResidualAbove()).evaluator()(push(0.0))
     with pytest.raises(TypeError, match="join conditions with &"):
-        _ = one and other
+        _ = first and second
 
 
 def test_lasting_needs_its_time_without_a_break():
@@ -102,12 +102,12 @@ def test_one_condition_serves_two_reactions():
         (lambda: rx.Reaction(rx.ResidualAbove(), rx.Stop(), until=rx.After(1.0)), "resume"),
     ],
 )
-def test_what_cannot_be_is_refused(make, text):
+def test_invalid_values_are_refused(make, text):
     with pytest.raises((pliant.PliantError, TypeError), match=text):
         make()
 
 
-def test_a_watch_refuses_what_its_arm_cannot_tell_or_do():
+def test_conditions_and_actions_that_the_arm_lacks_are_refused():
     ctl = controller()
     with pytest.raises(pliant.OutOfRangeError, match="cannot tell a contact from friction"):
         rx.ReactionMonitor(ctl, [rx.Reaction(rx.Force("z", above=1.0), rx.Hold())])
@@ -115,22 +115,22 @@ def test_a_watch_refuses_what_its_arm_cannot_tell_or_do():
         rx.ReactionMonitor(ctl, [rx.Reaction(rx.Saturated(("elbow",)), rx.Hold())])
     with pytest.raises(pliant.PliantError, match="soft"):
         rx.ReactionMonitor(ctl, [rx.Reaction(rx.ResidualAbove(), rx.Yield("z", {"soft": -1.0}))])
-    few = pliant.Controller(arm(), pliant.Settings(task="xyz"))
+    controller_xyz = pliant.Controller(arm(), pliant.Settings(task="xyz"))
     with pytest.raises(pliant.ConfigError, match="axes yaw are not of this task"):
-        rx.ReactionMonitor(few, [rx.Reaction(rx.Deviation("yaw", above=0.1), rx.Hold())])
+        rx.ReactionMonitor(controller_xyz, [rx.Reaction(rx.Deviation("yaw", above=0.1), rx.Hold())])
 
 
-def watched(then, when=None, **more):
-    """Run a monitor with a reaction whose condition is true from 0.1 s to 0.3 s."""
-    if when is None:
-        when = rx.After(0.1) & ~rx.After(0.3)
-    return rx.ReactionMonitor(controller(), [rx.Reaction(when, then, **more)])
+def run_monitor(action, condition=None, **extra):
+    """Return a monitor with one reaction; by default its condition is true from 0.1 to 0.3 s."""
+    if condition is None:
+        condition = rx.After(0.1) & ~rx.After(0.3)
+    return rx.ReactionMonitor(controller(), [rx.Reaction(condition, action, **extra)])
 
 
-def targets(watch, ticks, wanted=TARGET):
+def targets(watch, ticks, expected=TARGET):
     out = []
     for _ in range(ticks):
-        out.append(watch.update(VERTICAL, wanted))
+        out.append(watch.update(VERTICAL, expected))
         watch.controller.step(VERTICAL, out[-1])
     return out
 
@@ -142,47 +142,47 @@ def away(x):
 
 
 def test_hold_freezes_the_target_and_gives_it_back_slowly():
-    watch, wanted = watched(rx.Hold(), clear=0.2), away(0.05)
-    seen = targets(watch, 150, wanted)
-    assert seen[5] is wanted
-    np.testing.assert_array_equal(seen[15], TARGET)
+    watch, expected = run_monitor(rx.Hold(), clear=0.2), away(0.05)
+    sent_targets = targets(watch, 150, expected)
+    assert sent_targets[5] is expected
+    np.testing.assert_array_equal(sent_targets[15], TARGET)
     assert [line.what for line in watch.log] == ["began", "ended"]
     assert watch.log[1].time == pytest.approx(0.50, abs=0.011)
-    back = np.diff([pose[0, 3] for pose in seen[52:100]])
+    back = np.diff([pose[0, 3] for pose in sent_targets[52:100]])
     assert back.max() <= 0.1 * 0.01 + 1e-12
     assert back.min() >= 0.0
-    assert seen[-1] is wanted
+    assert sent_targets[-1] is expected
 
 
 def test_stop_stays_until_it_is_resumed():
-    watch, wanted = watched(rx.Stop()), away(0.05)
-    targets(watch, 100, wanted)
+    watch, expected = run_monitor(rx.Stop()), away(0.05)
+    targets(watch, 100, expected)
     assert watch.stopped
     watch.resume()
-    targets(watch, 1, wanted)
+    targets(watch, 1, expected)
     assert not watch.stopped
     assert watch.resuming
 
 
 def test_retract_leaves_along_its_direction_and_stays():
-    watch = watched(rx.Retract(0.04, speed=0.2, along=(0.0, 0.0, 2.0)))
-    seen = targets(watch, 60)
-    assert np.diff([pose[2, 3] for pose in seen]).max() <= 0.2 * 0.01 + 1e-12
-    assert seen[-1][2, 3] - TARGET[2, 3] == pytest.approx(0.04)
-    np.testing.assert_array_equal(seen[-1][:3, :3], TARGET[:3, :3])
+    watch = run_monitor(rx.Retract(0.04, speed=0.2, along=(0.0, 0.0, 2.0)))
+    sent_targets = targets(watch, 60)
+    assert np.diff([pose[2, 3] for pose in sent_targets]).max() <= 0.2 * 0.01 + 1e-12
+    assert sent_targets[-1][2, 3] - TARGET[2, 3] == pytest.approx(0.04)
+    np.testing.assert_array_equal(sent_targets[-1][:3, :3], TARGET[:3, :3])
 
 
 def test_follow_keeps_the_target_on_a_leash():
-    when = rx.After(0.05)
-    watch = watched(rx.Follow("x", 0.02), when)
-    seen = targets(watch, 20, away(0.1))
-    assert seen[-1][0, 3] - TARGET[0, 3] == pytest.approx(0.02)
+    condition = rx.After(0.05)
+    watch = run_monitor(rx.Follow("x", 0.02), condition)
+    sent_targets = targets(watch, 20, away(0.1))
+    assert sent_targets[-1][0, 3] - TARGET[0, 3] == pytest.approx(0.02)
     targets(watch, 2, away(0.01))
     assert watch.active is None
 
 
 def test_yield_changes_settings_and_restores_them():
-    watch = watched(rx.Yield("z", {"soft": 2.0}), clear=0.1)
+    watch = run_monitor(rx.Yield("z", {"soft": 2.0}), clear=0.1)
     before = watch.controller.settings
     targets(watch, 20)
     assert watch.controller.settings.axes["z"].soft == (2.0, 2.0)
@@ -191,13 +191,13 @@ def test_yield_changes_settings_and_restores_them():
 
 
 def test_calls_come_once_and_the_first_reaction_matters_most():
-    called = []
+    moments = []
     watch = rx.ReactionMonitor(
         controller(),
         [
             rx.Reaction(rx.After(0.2), rx.Stop()),
             rx.Reaction(rx.After(0.1), rx.Hold()),
-            rx.Reaction(rx.After(0.1), rx.Call(called.append)),
+            rx.Reaction(rx.After(0.1), rx.Call(moments.append)),
         ],
     )
     targets(watch, 15)
@@ -205,22 +205,22 @@ def test_calls_come_once_and_the_first_reaction_matters_most():
     assert watch.active is watch.reactions[1]
     targets(watch, 15)
     assert watch.stopped
-    assert [now.time for now in called] == pytest.approx([0.1])
+    assert [entry.time for entry in moments] == pytest.approx([0.1])
     watch.reset()
     assert watch.active is None
     assert len(watch.log) == 0
 
 
 def test_bad_readings_change_nothing():
-    watch = watched(rx.Hold(), rx.ResidualAbove())
+    watch = run_monitor(rx.Hold(), rx.ResidualAbove())
     targets(watch, 5)
-    felt = watch.wrench
-    for bad in (np.full(7, np.nan), np.zeros(3)):
+    wrench = watch.wrench
+    for invalid_q in (np.full(7, np.nan), np.zeros(3)):
         with pytest.raises(pliant.PliantError):
-            watch.update(bad, TARGET)
+            watch.update(invalid_q, TARGET)
     with pytest.raises(pliant.PliantError):
         watch.update(VERTICAL, np.full((4, 4), np.nan))
-    assert watch.wrench == felt
+    assert watch.wrench == wrench
 
 
 def test_names_at_the_top():

@@ -1,4 +1,4 @@
-"""Shared code of the demonstration's tests."""
+"""Fixtures for tests of the demo."""
 
 import json
 import os
@@ -32,18 +32,18 @@ def pliant_command(tmp_path):
 def quick_demo(tmp_path_factory):
     """Run the quick demo once; return its folder, the ended process, and the saved results.
 
-    `UNITS` in tests/conftest.py keeps the tests that use it on one worker.
+    `SHARED` in tests/conftest.py runs all tests that use it in one worker.
     """
     folder = tmp_path_factory.mktemp("demo")
     demo = runner(folder, "experiments.demo", PYTHONPATH=search_path())
-    done = demo("--quick", "--out", "here")
-    assert done.returncode == 0, done.stderr
+    result = demo("--quick", "--out", "here")
+    assert result.returncode == 0, result.stderr
     out = folder / "here"
-    return out, done, json.loads((out / "results.json").read_text(encoding="utf-8"))
+    return out, result, json.loads((out / "results.json").read_text(encoding="utf-8"))
 
 
 def runner(folder, module, **always):
-    """Return a function that runs a module, or code, in a process of its own."""
+    """Return a function that runs a module, or `code`, in a new process."""
 
     def run(*args, code=None, **environment):
         entry = ["-c", code] if code else ["-m", module]

@@ -1,4 +1,4 @@
-"""Chapters of the demo: their measured numbers are finite and decide the verdicts."""
+"""Chapters of the demo: measured numbers are finite and determine the verdicts."""
 
 import copy
 import math
@@ -30,9 +30,9 @@ def measured(quick_demo):
 
 
 def statement(chapter, beginning):
-    found = [s for s in chapter.statements() if s.claim.startswith(beginning)]
-    assert len(found) == 1, [s.claim for s in chapter.statements()]
-    return found[0]
+    matches = [s for s in chapter.statements() if s.claim.startswith(beginning)]
+    assert len(matches) == 1, [s.claim for s in chapter.statements()]
+    return matches[0]
 
 
 @pytest.mark.parametrize("number", demonstration.EXPERIMENTS)
@@ -61,8 +61,8 @@ def test_full_runs_have_names_of_their_own(number):
 
 
 def put(numbers, path, value):
-    *way, last = path
-    for key in way:
+    *parents, last = path
+    for key in parents:
         numbers = numbers[key]
     assert last in numbers
     numbers[last] = value
@@ -87,11 +87,11 @@ FLIPS = [
 ]
 
 
-@pytest.mark.parametrize(("number", "claim", "path", "wrong"), FLIPS)
-def test_a_wrong_number_flips_its_verdict(number, claim, path, wrong, measured):
+@pytest.mark.parametrize(("number", "claim", "path", "value"), FLIPS)
+def test_a_wrong_number_flips_its_verdict(number, claim, path, value, measured):
     module, numbers = demonstration.EXPERIMENTS[number], measured(number)
     before = statement(module.chapter(copy.deepcopy(numbers)), claim)
-    put(numbers, path, wrong)
+    put(numbers, path, value)
     after = statement(module.chapter(numbers), claim)
     assert before.verdict is Verdict.AGREES
     assert after.verdict is not Verdict.AGREES
@@ -113,8 +113,8 @@ def test_reasons_follow_the_numbers(measured):
     claim = "Let go, the tool moves back"
     assert statement(module.chapter(numbers), claim).verdict is Verdict.DIFFERS
     for eta in ("0", "0.9"):
-        for one in numbers["y"]["paper"][eta].values():
-            one.update(left=0.001, return_speed=0.05, returned=2.0)
+        for entry in numbers["y"]["paper"][eta].values():
+            entry.update(left=0.001, return_speed=0.05, returned=2.0)
     assert statement(module.chapter(numbers), claim).verdict is Verdict.AGREES
 
 

@@ -32,17 +32,17 @@ def test_help_lists_every_command(capsys, arguments):
 
 
 def test_help_and_version_load_nothing_heavy(pliant_command):
-    done = pliant_command(code=LIGHT)
-    assert done.returncode == 0, done.stderr
+    result = pliant_command(code=LIGHT)
+    assert result.returncode == 0, result.stderr
 
 
 def test_help_of_the_demo_explains_its_flags(demo_command):
-    done = demo_command("--help")
-    assert done.returncode == 0
+    result = demo_command("--help")
+    assert result.returncode == 0
     for flag in ("--out", "--only", "--quick", "--robot", "--urdf", "--base", "--tip", "--jobs"):
-        assert flag in done.stdout
-    assert "--urdf FILE" in done.stdout
-    assert not re.search(r"\{None\}\|(STR|PATH)", done.stdout)
+        assert flag in result.stdout
+    assert "--urdf FILE" in result.stdout
+    assert not re.search(r"\{None\}\|(STR|PATH)", result.stdout)
 
 
 ONE_LINE = [
@@ -58,15 +58,15 @@ ONE_LINE = [
 
 
 @pytest.mark.parametrize(
-    ("command", "arguments", "words"), ONE_LINE, ids=lambda v: v if isinstance(v, str) else None
+    ("command", "arguments", "message"), ONE_LINE, ids=lambda v: v if isinstance(v, str) else None
 )
-def test_errors_are_one_line(capsys, command, arguments, words):
+def test_errors_are_one_line(capsys, command, arguments, message):
     pytest.importorskip("mujoco")
     assert command(arguments) == 2
-    caught = capsys.readouterr()
-    assert caught.err.startswith("error: ")
-    assert caught.err.count("\n") == 1
-    assert words in caught.err
+    captured = capsys.readouterr()
+    assert captured.err.startswith("error: ")
+    assert captured.err.count("\n") == 1
+    assert message in captured.err
 
 
 def test_an_unknown_flag_gets_a_suggestion(capsys):
@@ -76,21 +76,21 @@ def test_an_unknown_flag_gets_a_suggestion(capsys):
 
 def test_a_refused_urdf_is_one_line(capsys, tmp_path):
     pytest.importorskip("mujoco")
-    bad = tmp_path / "bad.urdf"
-    bad.write_text("<robot name='r'><link name='a'/>", encoding="utf-8")
-    assert demo(["--urdf", str(bad)]) == 2
-    caught = capsys.readouterr().err
-    assert caught.startswith("error: ")
-    assert "bad.urdf" in caught
-    assert "Traceback" not in caught
+    file = tmp_path / "bad.urdf"
+    file.write_text("<robot name='r'><link name='a'/>", encoding="utf-8")
+    assert demo(["--urdf", str(file)]) == 2
+    stderr = capsys.readouterr().err
+    assert stderr.startswith("error: ")
+    assert "bad.urdf" in stderr
+    assert "Traceback" not in stderr
 
 
 @pytest.mark.parametrize("name", ["mujoco", "matplotlib"])
 def test_a_missing_extra_names_the_pip_command(demo_command, name):
-    done = demo_command(code=WITHOUT.format(name=name))
-    assert done.returncode == 2
-    assert done.stderr.startswith('error: the demo needs the extra "experiments": ')
-    assert done.stderr.strip().endswith(" install 'pliant[experiments]'")
+    result = demo_command(code=WITHOUT.format(name=name))
+    assert result.returncode == 2
+    assert result.stderr.startswith('error: the demo needs the extra "experiments": ')
+    assert result.stderr.strip().endswith(" install 'pliant[experiments]'")
 
 
 def test_a_folder_that_cannot_be_made_is_one_line(capsys, tmp_path):
@@ -101,15 +101,15 @@ def test_a_folder_that_cannot_be_made_is_one_line(capsys, tmp_path):
     assert capsys.readouterr().err.splitlines()[-1].startswith("error: ")
 
 
-def test_bands_that_are_missed_are_said_with_number_and_reason():
+def test_missed_bands_are_printed_with_number_and_reason():
     pytest.importorskip("mujoco")
     from experiments.demo import missed
     from experiments.report import Chapter, Check, Figure, Statement
 
-    kept = Check(name="force", value=3.0, high=4.0, unit="N")
-    tests = (kept, Check(name="drift", value=0.0123, low=0.001, high=0.01, unit="m"))
+    passed = Check(name="force", value=3.0, high=4.0, unit="N")
+    tests = (passed, Check(name="drift", value=0.0123, low=0.001, high=0.01, unit="m"))
     statements = (
-        Statement(claim="It holds.", outcome="", tests=(kept,), source="study"),
+        Statement(claim="It holds.", outcome="", tests=(passed,), source="study"),
         Statement(claim="It stays.", outcome="", tests=tests, source="study", because="gears rub"),
         Statement(claim="The paper's.", outcome="", tests=tests),
     )

@@ -1,4 +1,4 @@
-"""A whole run of the demo: it finishes and writes its results and a self-contained report."""
+"""A complete run of the demo writes its results and a self-contained report."""
 
 import json
 import math
@@ -17,7 +17,7 @@ EMPTY_ELEMENTS = {"meta", "br", "img", "link", "hr", "input"}
 
 
 class Page(HTMLParser):
-    """Collects a page's references and identifiers, and checks that its elements close."""
+    """Parser that collects references and ids of a page, and checks that elements are closed."""
 
     def __init__(self, text):
         super().__init__()
@@ -58,24 +58,24 @@ def check_page(path):
     return text
 
 
-def check_numbers(value, where="results"):
+def check_numbers(value, path="results"):
     """Check that results have no NaN, and null only for "not back" and for missing bounds."""
     if isinstance(value, dict):
         for key, item in value.items():
             if item is None:
-                assert key in {"returned", "low", "high", "commit"}, f"{where}.{key}"
-            check_numbers(item, f"{where}.{key}")
+                assert key in {"returned", "low", "high", "commit"}, f"{path}.{key}"
+            check_numbers(item, f"{path}.{key}")
     elif isinstance(value, list):
         for k, item in enumerate(value):
-            check_numbers(item, f"{where}[{k}]")
+            check_numbers(item, f"{path}[{k}]")
     elif isinstance(value, float):
-        assert math.isfinite(value), where
+        assert math.isfinite(value), path
 
 
-def check_folder(folder, done):
-    assert done.returncode == 0, done.stderr
+def check_folder(folder, process):
+    assert process.returncode == 0, process.stderr
     report, results = folder / "report.html", folder / "results.json"
-    assert done.stdout.rstrip().endswith(str(report.resolve()))
+    assert process.stdout.rstrip().endswith(str(report.resolve()))
     text = check_page(report)
     content = json.loads(results.read_text(encoding="utf-8"))
     check_numbers(content)
@@ -101,47 +101,47 @@ def test_quick_demo_leaves_a_report_that_needs_nothing(quick_demo):
 
 def test_processes_do_not_change_a_digit(demo_command, quick_demo, tmp_path):
     """Compare experiment 2 run in one process with the whole demo, which uses two processes."""
-    two, _, saved = quick_demo
-    done = demo_command("--quick", "--only", "2", "--jobs", "1", "--out", "1")
-    assert done.returncode == 0, done.stderr
-    one = json.loads((tmp_path / "1" / "results.json").read_text(encoding="utf-8"))
+    demo_folder, _, saved = quick_demo
+    result = demo_command("--quick", "--only", "2", "--jobs", "1", "--out", "1")
+    assert result.returncode == 0, result.stderr
+    results = json.loads((tmp_path / "1" / "results.json").read_text(encoding="utf-8"))
     second = {"2": saved["experiments"]["2"]}
-    assert json.dumps(one) == json.dumps(saved | {"experiments": second})
+    assert json.dumps(results) == json.dumps(saved | {"experiments": second})
     figures = list((tmp_path / "1" / "figures").glob("*.svg"))
     assert figures
     for figure in figures:
-        assert figure.read_bytes() == (two / "figures" / figure.name).read_bytes()
+        assert figure.read_bytes() == (demo_folder / "figures" / figure.name).read_bytes()
 
 
 def test_a_machine_that_cannot_draw_gets_a_report_without_pictures(demo_command, tmp_path):
     args = ("--quick", "--only", "1", "--jobs", "1", "--out", "here")
-    done = demo_command(*args, MUJOCO_GL="disable")
-    _, text = check_folder(tmp_path / "here", done)
+    result = demo_command(*args, MUJOCO_GL="disable")
+    _, text = check_folder(tmp_path / "here", result)
     assert "data:image/" not in text
 
 
 # By default one of the two arms is tested: both have five joints and run the same experiments.
 @pytest.mark.parametrize("robot", ["so101", pytest.param("koch", marks=pytest.mark.full)])
 def test_quick_demo_of_a_small_arm(demo_command, tmp_path, robot):
-    done = demo_command("--quick", "--robot", robot, "--out", "here")
-    content, _ = check_folder(tmp_path / "here", done)
+    result = demo_command("--quick", "--robot", robot, "--out", "here")
+    content, _ = check_folder(tmp_path / "here", result)
     assert content["robot"] == robot
     assert content["experiments"]["2"]["numbers"]["soft_axis"] == "y"
 
 
-#: One arm with five, one with six and one with seven joints; the others are marked `full`.
+#: Arms with five, six and seven joints that are always tested; the others are marked `full`.
 ALWAYS = {"so101", "ur5e", "panda"}
 
 
 def robots():
     """Return the reference arms whose URDF is available, with base and tip of their chains."""
-    found = []
+    result = []
     for file in sorted(SHARED.glob("*/reference_fk.json")):
-        chain = json.loads(file.read_text(encoding="utf-8"))
-        robot = (file.parent / chain["urdf"], chain["base"], chain["tip"])
+        entry = json.loads(file.read_text(encoding="utf-8"))
+        robot = (file.parent / entry["urdf"], entry["base"], entry["tip"])
         marks = () if file.parent.name in ALWAYS else pytest.mark.full
-        found.append(pytest.param(robot, id=file.parent.name, marks=marks))
-    return found
+        result.append(pytest.param(robot, id=file.parent.name, marks=marks))
+    return result
 
 
 @pytest.mark.skipif(not robots(), reason="../shared/robots is absent: no reference arms to try")
@@ -150,6 +150,6 @@ def test_quick_demo_of_a_urdf(demo_command, tmp_path, robot):
     urdf, base, tip = robot
     args = ["--urdf", str(urdf), "--base", base, "--tip", tip]
     args += ["--only", "2", "--jobs", "1", "--out", "here"]
-    done = demo_command("--quick", *args)
-    _, text = check_folder(tmp_path / "here", done)
+    result = demo_command("--quick", *args)
+    _, text = check_folder(tmp_path / "here", result)
     assert "guessed from the effort" in text

@@ -18,7 +18,7 @@ def wire(*devices, **options):
     return SerialLine([device.build(BAUD) for device in devices], **options)
 
 
-def one(model, **registers):
+def single_servo(model, **registers):
     """Return a serial line with one servo of id 1, and this servo."""
     line = wire(Device(model, 1, **registers))
     return line, line.servos[0]
@@ -34,14 +34,19 @@ def ask(line, request):
     return b"".join(d.data for d in line.feed(request, BAUD) if d.after is not None)
 
 
-def write1(line, address, *data, id=1):
+def address_of(line, register):
+    """Return the address of a register of the first servo, given by its name or address."""
+    return register if isinstance(register, int) else line.servos[0].table[register].address
+
+
+def write1(line, register, *data, id=1):
     """Write `data` by Protocol 1.0; return the error byte of the reply."""
-    return ask(line, p1(id, 3, address, *data))[4]
+    return ask(line, p1(id, 3, address_of(line, register), *data))[4]
 
 
-def read1(line, address, length, id=1):
+def read1(line, register, length, id=1):
     """Read `length` bytes by Protocol 1.0; return error byte and data of the reply."""
-    answer = ask(line, p1(id, 2, address, length))
+    answer = ask(line, p1(id, 2, address_of(line, register), length))
     return answer[4], answer[5:-1]
 
 
@@ -52,11 +57,13 @@ def pass_time(servo, seconds, dt=0.01):
         servo.update(dt)
 
 
-def two(value):
+def le16(value):
+    """Return the two bytes of a value, little-endian."""
     return value & 0xFF, value >> 8 & 0xFF
 
 
-def four(value):
+def le32(value):
+    """Return the four bytes of a value, little-endian."""
     return tuple(value >> 8 * k & 0xFF for k in range(4))
 
 

@@ -7,7 +7,7 @@ import pytest
 
 pytest.importorskip("mujoco", reason="the arm needs the extra sim")
 
-from emulator.helpers import BAUD, four, p1, two
+from emulator.helpers import BAUD, le16, le32, p1
 
 import pliant.robots
 from pliant import ConfigError
@@ -20,14 +20,14 @@ NAMES = list(pliant.robots.so101().joint_names)
 
 def mounts(**changes):
     """Return STS3215 on every joint of the SO-101, and on its gripper; `changes` by joint."""
-    made = [Mount(joint=name, model="STS3215", id=k + 1) for k, name in enumerate(NAMES)]
-    made.append(Mount(joint="gripper", model="STS3215", id=6))
-    return [changes.get(mount.joint, mount) for mount in made]
+    result = [Mount(joint=name, model="STS3215", id=k + 1) for k, name in enumerate(NAMES)]
+    result.append(Mount(joint="gripper", model="STS3215", id=6))
+    return [changes.get(mount.joint, mount) for mount in result]
 
 
-def so101(made=None, q=POSE, **options):
-    made = mounts() if made is None else made
-    return emulate(pliant.robots.so101(), made, q, clock="steps", **options)
+def so101(mounted=None, q=POSE, **options):
+    mounted = mounts() if mounted is None else mounted
+    return emulate(pliant.robots.so101(), mounted, q, clock="steps", **options)
 
 
 def ask(emulator, request):
@@ -47,7 +47,7 @@ def hold(emulator, share, goals=None):
     blocks = [
         byte
         for id, goal in enumerate(goals, 1)
-        for byte in (id, *two(int(goal)), 0, 0, 0, 0, *two(share))
+        for byte in (id, *le16(int(goal)), 0, 0, 0, 0, *le16(share))
     ]
     ask(emulator, p1(0xFE, 0x83, 42, 8, *blocks))
 
@@ -59,7 +59,7 @@ def test_positions_come_from_the_plant():
 
 
 def test_sign_zero_and_gear_turn_the_counts():
-    changed = {
+    options_by_joint = {
         NAMES[0]: Mount(joint=NAMES[0], model="STS3215", id=1, sign=-1),
         NAMES[1]: Mount(joint=NAMES[1], model="STS3215", id=2, zero=1000),
         NAMES[2]: Mount(joint=NAMES[2], model="STS3215", id=3, gear_ratio=2.0),
@@ -68,14 +68,14 @@ def test_sign_zero_and_gear_turn_the_counts():
         ),
     }
     per_rad = 4096 / (2 * np.pi)
-    got = counts(so101(mounts(**changed)))[:4]
+    result = counts(so101(mounts(**options_by_joint)))[:4]
     expected = [
         2048 - 0.2 * per_rad,
         1000 + 0.3 * per_rad,
         2048 + 0.8 * per_rad,
         1500 + 0.1 * per_rad,
     ]
-    assert np.abs(got - expected).max() <= 0.5
+    assert np.abs(result - expected).max() <= 0.5
 
 
 def test_without_torque_the_arm_falls_and_with_it_stays():
@@ -106,14 +106,14 @@ def test_a_held_arm_is_let_go_when_all_its_joints_have_torque():
 def test_the_limit_in_the_register_is_the_limit_in_the_plant():
     emulator = so101()
     stall = emulator.servo(1).stall
-    far = counts(emulator) + 500
-    hold(emulator, 200, far)
-    most = np.zeros(5)
+    goal = counts(emulator) + 500
+    hold(emulator, 200, goal)
+    largest = np.zeros(5)
     for _ in range(50):
         emulator.world.advance(0.01)
-        most = np.maximum(most, np.abs(emulator.plant.torque))
-    assert most.max() <= 0.2 * stall + 1e-9
-    assert most.max() == pytest.approx(0.2 * stall), "a far goal uses all of it"
+        largest = np.maximum(largest, np.abs(emulator.plant.torque))
+    assert largest.max() <= 0.2 * stall + 1e-9
+    assert largest.max() == pytest.approx(0.2 * stall), "a far goal uses all of it"
 
 
 def test_load_and_current_come_from_the_plant():
@@ -140,24 +140,24 @@ def test_gripper_off_the_chain_moves():
 def test_two_servos_share_a_joint_and_its_torque():
     pair = Mount(joint=NAMES[1], model="STS3215", id=2, secondary=(7, -1))
     emulator = so101(mounts(**{NAMES[1]: pair}))
-    one, other = emulator.servo(2), emulator.servo(7)
-    assert one.position - 2048 == 2048 - other.position
-    for servo in (one, other):
+    first, second = emulator.servo(2), emulator.servo(7)
+    assert first.position - 2048 == 2048 - second.position
+    for servo in (first, second):
         servo.put("torque_enable", 1)
     emulator.world.advance(0.5)
     assert emulator.plant.q[1] == pytest.approx(POSE[1], abs=0.06)
-    assert one.shaft.torque == pytest.approx(-other.shaft.torque)
+    assert first.shaft.torque == pytest.approx(-second.shaft.torque)
     limit = emulator.plant.mj_model.actuator(NAMES[1]).forcerange[1]
-    assert limit == pytest.approx(2 * 0.97 * one.stall)
-    other.power_up()
+    assert limit == pytest.approx(2 * 0.97 * first.stall)
+    second.power_up()
     emulator.world.advance(0.05)
     limit = emulator.plant.mj_model.actuator(NAMES[1]).forcerange[1]
-    assert limit == pytest.approx(0.97 * one.stall)
+    assert limit == pytest.approx(0.97 * first.stall)
 
 
 def test_an_arm_of_current_limited_servos_holds_and_its_watchdog_stops_it():
     arm = pliant.robots.arm7()
-    made = [
+    mounted = [
         Mount(
             joint=name,
             model="XM540-W270" if k < 4 else "XM430-W350",
@@ -167,20 +167,20 @@ def test_an_arm_of_current_limited_servos_holds_and_its_watchdog_stops_it():
         for k, name in enumerate(arm.joint_names)
     ]
     pose = np.array([-0.13, -0.6, 0.72, -1.74, 0.93, 0.68, -0.17])
-    emulator = emulate(arm, made, pose, clock="steps")
+    emulator = emulate(arm, mounted, pose, clock="steps")
     ids = range(1, 8)
-    assert ask(emulator, packet_2(0xFE, 3, bytes([*two(64), 1]))) == b""
+    assert ask(emulator, packet_2(0xFE, 3, bytes([*le16(64), 1]))) == b""
     emulator.world.advance(1.0)
     assert np.abs(emulator.plant.q - pose).max() < 0.25
     assert np.abs(emulator.plant.dq).max() < 0.02
-    ask(emulator, packet_2(0xFE, 3, bytes([*two(98), 5])))
-    block = b"".join(bytes([id, *four(emulator.servo(id).position + 600)]) for id in ids)
-    ask(emulator, packet_2(0xFE, 0x83, bytes([*two(116), *two(4)]) + block))
+    ask(emulator, packet_2(0xFE, 3, bytes([*le16(98), 5])))
+    block = b"".join(bytes([id, *le32(emulator.servo(id).position + 600)]) for id in ids)
+    ask(emulator, packet_2(0xFE, 0x83, bytes([*le16(116), *le16(4)]) + block))
     emulator.world.advance(0.12)
     assert {emulator.servo(id).get("bus_watchdog") for id in ids} == {-1}
-    stopped = emulator.plant.q
+    final_q = emulator.plant.q
     emulator.world.advance(2.0)
-    assert np.abs(emulator.plant.q - stopped).max() < 0.3, "it stays about where it was"
+    assert np.abs(emulator.plant.q - final_q).max() < 0.3, "it stays about where it was"
     assert np.abs(emulator.plant.dq).max() < 0.02
 
 
@@ -196,7 +196,7 @@ def test_a_run_repeats_bit_for_bit():
 
 
 @pytest.mark.parametrize(
-    ("make", "words"),
+    ("make", "message"),
     [
         (lambda: so101(mounts()[1:]), "no servo is mounted on shoulder_pan"),
         (lambda: so101([*mounts(), Mount(joint="nose", model="MX-28", id=9)]), "no such joint"),
@@ -209,6 +209,6 @@ def test_a_run_repeats_bit_for_bit():
         (lambda: Mount(joint="x", model="MX-28", id=1, gear_ratio=0.0), "gear_ratio"),
     ],
 )
-def test_errors(make, words):
-    with pytest.raises(ConfigError, match=words):
+def test_errors(make, message):
+    with pytest.raises(ConfigError, match=message):
         make()

@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
-from emulator.helpers import Host, p1, two
+from emulator.helpers import Host, le16, p1
 
 from pliant import ConfigError, ServoError
 from pliant.emulator import Device, Emulator, ManualClock, Timing
@@ -32,7 +32,7 @@ def test_answers_over_a_path_that_is_gone_afterwards():
 def test_steps_wait_for_what_was_written_before():
     with sts() as emulator, Host(emulator.port) as host:
         for k in range(50):
-            os.write(host.fd, p1(0xFE, 3, 42, *two(2100 + k)))
+            os.write(host.fd, p1(0xFE, 3, 42, *le16(2100 + k)))
             emulator.advance(0.01)
             assert emulator.servo(1).get("goal_position") == 2100 + k
         times = [round(w.time, 6) for w in emulator.log.writes("goal_position")]
@@ -41,7 +41,7 @@ def test_steps_wait_for_what_was_written_before():
 
 def test_steps_stand_still_without_advance():
     with sts() as emulator, Host(emulator.port) as host:
-        os.write(host.fd, p1(0xFE, 3, 42, *two(3000)))
+        os.write(host.fd, p1(0xFE, 3, 42, *le16(3000)))
         first = host.ask(p1(1, 2, 56, 2), 8)
         assert host.ask(p1(1, 2, 56, 2), 8) == first
         emulator.advance(0.2)
@@ -51,12 +51,12 @@ def test_steps_stand_still_without_advance():
 def test_runs_repeat_bit_for_bit():
     def run():
         with sts(2) as emulator, Host(emulator.port) as host:
-            got = []
+            result = []
             for k in range(30):
-                os.write(host.fd, p1(0xFE, 3, 42, *two(2048 + 10 * k)))
+                os.write(host.fd, p1(0xFE, 3, 42, *le16(2048 + 10 * k)))
                 emulator.advance(0.013)
-                got.append(host.ask(p1(0xFE, 0x82, 56, 8, 1, 2), 28))
-            return got
+                result.append(host.ask(p1(0xFE, 0x82, 56, 8, 1, 2), 28))
+            return result
 
     assert run() == run()
 
@@ -73,7 +73,7 @@ def test_wire_time_passes_under_the_clock_of_steps():
 
 def test_the_clock_of_steps_includes_all_writes_and_stops_on_time():
     with sts(timing=Timing(wire=True)) as emulator, Host(emulator.port) as host:
-        clock, packet = ManualClock(emulator), p1(0xFE, 3, 42, *two(2100), *[0] * 200)
+        clock, packet = ManualClock(emulator), p1(0xFE, 3, 42, *le16(2100), *[0] * 200)
         for k in range(1, 21):
             before = clock.now()
             os.write(host.fd, packet)
@@ -85,11 +85,11 @@ def test_the_clock_of_steps_includes_all_writes_and_stops_on_time():
 
 def test_threads_that_wait_at_once_leave_nothing_on_the_wires(monkeypatch):
     devices = [Device("STS3215", 1, port="left"), Device("STS3215", 1, port="right")]
-    heard, feed = [], SerialLine.feed
+    received, feed = [], SerialLine.feed
 
-    def listening(line, data, *rest):
-        heard.append(data)
-        return feed(line, data, *rest)
+    def listening(line, data, *arguments):
+        received.append(data)
+        return feed(line, data, *arguments)
 
     monkeypatch.setattr(SerialLine, "feed", listening)
     with Emulator(devices, clock="steps") as emulator, ThreadPoolExecutor(4) as threads:
@@ -101,16 +101,16 @@ def test_threads_that_wait_at_once_leave_nothing_on_the_wires(monkeypatch):
                     emulator.sync()
                     assert host.ask(p1(1, 1), 6) == p1(1, 0)
 
-            for done in [threads.submit(ask, host) for host in (left, right)]:
-                done.result()
-            for done in [threads.submit(emulator.sync) for _ in range(100)]:
-                done.result()
-    assert b"".join(heard) == p1(1, 1) * 100
+            for future in [threads.submit(ask, host) for host in (left, right)]:
+                future.result()
+            for future in [threads.submit(emulator.sync) for _ in range(100)]:
+                future.result()
+    assert b"".join(received) == p1(1, 1) * 100
 
 
 def test_real_time_moves_servos_by_itself():
     with sts(clock="real") as emulator, Host(emulator.port) as host:
-        host.ask(p1(1, 3, 42, *two(2200)), 6)
+        host.ask(p1(1, 3, 42, *le16(2200)), 6)
         end = time.monotonic() + 5.0
         while emulator.servo(1).position < 2190 and time.monotonic() < end:
             time.sleep(0.01)
@@ -119,7 +119,7 @@ def test_real_time_moves_servos_by_itself():
             emulator.advance(0.1)
 
 
-def test_wrong_speed_is_silence():
+def test_a_wrong_baud_rate_gets_no_reply():
     with sts() as emulator, Host(emulator.port, termios.B115200) as host:
         assert host.ask(p1(1, 1), 6, patience=0.05) == b""
         settings = termios.tcgetattr(host.fd)
@@ -131,7 +131,7 @@ def test_wrong_speed_is_silence():
 def test_pulled_adapter_fails_the_host_and_comes_back_under_its_path():
     with sts() as emulator:
         with Host(emulator.port) as host:
-            host.ask(p1(1, 3, 42, *two(2200)), 6)
+            host.ask(p1(1, 3, 42, *le16(2200)), 6)
             emulator.pull()
             with pytest.raises(OSError, match="Input/output"):
                 os.write(host.fd, p1(1, 1))
@@ -145,7 +145,7 @@ def test_pulled_adapter_fails_the_host_and_comes_back_under_its_path():
 
 def test_unplugged_servo_is_silent_and_forgets():
     with sts(2) as emulator, Host(emulator.port) as host:
-        host.ask(p1(1, 3, 42, *two(2200)), 6)
+        host.ask(p1(1, 3, 42, *le16(2200)), 6)
         emulator.unplug(1)
         assert len(host.ask(p1(0xFE, 0x82, 56, 2, 1, 2), 16, patience=0.05)) == 8
         emulator.plug(1)
@@ -157,7 +157,7 @@ def test_unplugged_servo_is_silent_and_forgets():
 def test_brown_out_and_reboot_lose_torque():
     with sts(2) as emulator, Host(emulator.port) as host:
         for id in (1, 2):
-            host.ask(p1(id, 3, 42, *two(2200)), 6)
+            host.ask(p1(id, 3, 42, *le16(2200)), 6)
         emulator.reboot(2)
         assert [servo.enabled for servo in emulator.servos] == [True, False]
         emulator.brown_out()
@@ -166,14 +166,14 @@ def test_brown_out_and_reboot_lose_torque():
 
 def test_trip_supply_stick_and_short():
     with sts() as emulator, Host(emulator.port) as host:
-        host.ask(p1(1, 3, 42, *two(2200)), 6)
+        host.ask(p1(1, 3, 42, *le16(2200)), 6)
         emulator.trip(1, "overload")
         assert host.ask(p1(1, 1), 6)[4] == 0x20
         emulator.supply(12.0)
         assert host.ask(p1(1, 1), 6)[4] == 0x21
         emulator.supply(7.4)
         emulator.stick(1, "present_position", 1234)
-        assert host.ask(p1(1, 2, 56, 2), 8)[5:7] == bytes(two(1234))
+        assert host.ask(p1(1, 2, 56, 2), 8)[5:7] == bytes(le16(1234))
         emulator.stick(1, "present_position", None)
         emulator.short()
         assert host.ask(p1(1, 1), 6, patience=0.05) == b""
@@ -194,26 +194,26 @@ def test_two_ports_share_a_clock():
 
 def test_log_is_bounded_and_decodes():
     with sts(log=10) as emulator, Host(emulator.port) as host:
-        seen = []
-        emulator.log.watch = seen.append
+        lengths = []
+        emulator.log.watch = lengths.append
         for _ in range(30):
             host.ask(p1(1, 1), 6)
-        assert (len(emulator.log), emulator.log.count, len(seen)) == (10, 30, 30)
-        host.ask(p1(1, 3, 48, *two(300)), 6)
-        host.ask(p1(1, 3, 42, *two(2048)), 6)
+        assert (len(emulator.log), emulator.log.count, len(lengths)) == (10, 30, 30)
+        host.ask(p1(1, 3, 48, *le16(300)), 6)
+        host.ask(p1(1, 3, 42, *le16(2048)), 6)
         host.ask(p1(1, 3, 40, 1), 6)
-        host.ask(p1(1, 3, 16, *two(900)), 6)
+        host.ask(p1(1, 3, 16, *le16(900)), 6)
         log = emulator.log
         assert log.order(1) == ["limit", "goal", "torque on"]
         assert [w.values for w in log.eeprom_writes()] == [{"max_torque_limit": 900}]
         assert [w.values for w in log.goals_while_disabled()] == [{"goal_position": 2048}]
         assert log[-1].instruction == "write"
-        assert log[-1].request == p1(1, 3, 16, *two(900))
+        assert log[-1].request == p1(1, 3, 16, *le16(900))
         assert log[-1].replies == (p1(1, 0),)
 
 
 @pytest.mark.parametrize(
-    ("make", "words"),
+    ("make", "message"),
     [
         (lambda: Emulator([]), "at least one"),
         (lambda: sts(clock="none"), "clock"),
@@ -227,8 +227,8 @@ def test_log_is_bounded_and_decodes():
         (lambda: sts().trip(1, "boredom"), "overload, heat, voltage"),
     ],
 )
-def test_errors(make, words):
-    with pytest.raises(ConfigError, match=words):
+def test_errors(make, message):
+    with pytest.raises(ConfigError, match=message):
         make()
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from emulator.helpers import BAUD, ask, p1, two, wire
+from emulator.helpers import BAUD, ask, le16, p1, wire
 
 from pliant import ConfigError
 from pliant.emulator import Device, Faults
@@ -17,7 +17,7 @@ def bus(**shares):
     return wire(*(Device("STS3215", id) for id in (1, 2, 3)), faults=faults), faults
 
 
-def test_lose_strikes_one_servo_so_often():
+def test_fault_lose_affects_one_servo_for_the_given_count():
     line, faults = bus()
     faults.inject("lose", 2, count=2)
     lengths = [len(ask(line, READ_ALL)) for _ in range(4)]
@@ -35,7 +35,7 @@ def test_deaf_servos_miss_their_part_of_a_sync_write():
     line, faults = bus()
     faults.inject("deaf", 2)
     before = line.servos[1].get("torque_limit")
-    ask(line, p1(0xFE, 0x83, 48, 2, 1, *two(100), 2, *two(100), 3, *two(100)))
+    ask(line, p1(0xFE, 0x83, 48, 2, 1, *le16(100), 2, *le16(100), 3, *le16(100)))
     assert [s.get("torque_limit") for s in line.servos] == [100, before, 100]
 
 
@@ -50,18 +50,18 @@ def test_late_answers_come_before_the_next_one():
 
 def test_corrupt_truncate_noise():
     line, faults = bus()
-    good = ask(line, p1(1, 2, 56, 2))
+    intact = ask(line, p1(1, 2, 56, 2))
     faults.inject("corrupt", 1)
-    bad = ask(line, p1(1, 2, 56, 2))
-    assert sum(bin(a ^ b).count("1") for a, b in zip(good, bad, strict=True)) == 1
+    reply = ask(line, p1(1, 2, 56, 2))
+    assert sum(bin(a ^ b).count("1") for a, b in zip(intact, reply, strict=True)) == 1
     faults.inject("truncate", 1)
     short = ask(line, p1(1, 2, 56, 2))
-    assert 0 < len(short) < len(good)
-    assert good.startswith(short)
+    assert 0 < len(short) < len(intact)
+    assert intact.startswith(short)
     faults.inject("noise", 1)
     noisy = ask(line, p1(1, 2, 56, 2))
-    assert noisy.endswith(good)
-    assert len(noisy) > len(good)
+    assert noisy.endswith(intact)
+    assert len(noisy) > len(intact)
 
 
 def test_wrong_id_has_a_checksum_that_fits():
@@ -70,9 +70,9 @@ def test_wrong_id_has_a_checksum_that_fits():
     answer = ask(line, p1(1, 1))
     assert answer[2] == 2
     assert ~sum(answer[2:-1]) & 0xFF == answer[-1]
-    made = wire(Device("XL430-W250", 1), faults=faults)
+    serial_line = wire(Device("XL430-W250", 1), faults=faults)
     faults.inject("wrong_id", 1)
-    answer = ask(made, packet_2(1, 1))
+    answer = ask(serial_line, packet_2(1, 1))
     assert answer[4] == 2
     assert crc16(answer[:-2]).to_bytes(2, "little") == answer[-2:]
 
@@ -82,9 +82,9 @@ def test_chance_is_seeded_and_has_its_share():
         line, _ = bus(lose=0.05, corrupt=0.05)
         return [bytes(ask(line, READ_ALL)) for _ in range(1000)], line.log.faulty
 
-    (one, struck), (other, _) = run(), run()
-    assert one == other
-    assert 70 < struck < 130
+    (first, faults), (second, _) = run(), run()
+    assert first == second
+    assert 70 < faults < 130
 
 
 def test_chance_can_be_set_while_it_runs():
@@ -95,7 +95,7 @@ def test_chance_can_be_set_while_it_runs():
 
 
 @pytest.mark.parametrize(
-    ("make", "words"),
+    ("make", "message"),
     [
         (lambda: Faults(loss=0.1), "no fault 'loss'; there are deaf, lose"),
         (lambda: Faults(lose=1.5), "share of 'lose'"),
@@ -103,8 +103,8 @@ def test_chance_can_be_set_while_it_runs():
         (lambda: Faults().inject("lose", count=-1), "count and skip"),
     ],
 )
-def test_errors(make, words):
-    with pytest.raises(ConfigError, match=words):
+def test_errors(make, message):
+    with pytest.raises(ConfigError, match=message):
         make()
 
 
@@ -113,8 +113,8 @@ def test_two_servos_on_one_id_spoil_each_other():
     answer = ask(line, p1(1, 1))
     assert answer[:2] == b"\xff\xff"
     assert ~sum(answer[2:-1]) & 0xFF != answer[-1]
-    made = wire(Device("XL430-W250", 1), Device("XL430-W250", 1))
-    answer = ask(made, packet_2(1, 1))
+    serial_line = wire(Device("XL430-W250", 1), Device("XL430-W250", 1))
+    answer = ask(serial_line, packet_2(1, 1))
     assert crc16(answer[:-2]).to_bytes(2, "little") != answer[-2:]
 
 
@@ -132,7 +132,7 @@ def test_an_echoing_adapter_sends_the_request_back_first():
     assert ask(line, p1(1, 1)) == p1(1, 1) + p1(1, 0)
 
 
-def test_the_wrong_speed_is_not_understood():
+def test_requests_at_a_wrong_baud_rate_are_ignored():
     line, _ = bus()
     assert line.feed(p1(1, 1), 115_200) == []
     assert line.feed(p1(1, 1), BAUD)
@@ -143,8 +143,8 @@ def test_requests_may_come_in_pieces_and_behind_rubbish(cut):
     line, _ = bus()
     request = b"\x00\xff\x13" + p1(1, 1) + b"\xff\xff" + p1(2, 1)
     pieces = [request[k : k + cut] for k in range(0, len(request), cut)]
-    got = b"".join(d.data for piece in pieces for d in line.feed(piece, BAUD))
-    assert got == p1(1, 0) + p1(2, 0)
+    result = b"".join(d.data for piece in pieces for d in line.feed(piece, BAUD))
+    assert result == p1(1, 0) + p1(2, 0)
 
 
 def test_one_stream_of_two_protocols():

@@ -20,16 +20,20 @@ NAMES = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_rol
 
 @pytest.fixture
 def so101():
-    read = config.load("so101", backend="emulator")
-    return read.model_copy(update={"robot": read.robot.model_copy(update={"table": None})})
+    arm_config = config.load("so101", backend="emulator")
+    return arm_config.model_copy(
+        update={"robot": arm_config.robot.model_copy(update={"table": None})}
+    )
 
 
-def moved(own, motion, seconds, every=0.1):
+def record_motion(arm_config, motion, seconds, interval=0.1):
     """Return joint positions (N, 6) [rad], and the positions that the servos report [counts]."""
-    with make_emulator(own, clock="steps", hand=JointHand(_motion(motion, own))) as bus:
+    with make_emulator(
+        arm_config, clock="steps", hand=JointHand(_motion(motion, arm_config))
+    ) as bus:
         joints, reported = [], []
-        for _ in range(round(seconds / every)):
-            bus.world.advance(every)
+        for _ in range(round(seconds / interval)):
+            bus.world.advance(interval)
             joints.append([float(bus.plant.mj_data.joint(name).qpos[0]) for name in NAMES])
             reported.append(counts(bus))
         return np.array(joints), np.array(reported)
@@ -37,16 +41,16 @@ def moved(own, motion, seconds, every=0.1):
 
 @pytest.mark.slow
 def test_a_wave_moves_every_joint_of_a_limp_arm_and_its_servos_report_it(so101):
-    joints, reported = moved(so101, "wave", 12.0)
+    joints, reported = record_motion(so101, "wave", 12.0)
     assert np.ptp(joints, axis=0).min() > 0.4
     assert np.abs(joints[40:, :5]).max() < 0.35
-    turned = np.ptp(reported, axis=0) * 2.0 * np.pi / 4096
-    np.testing.assert_allclose(turned, np.ptp(joints, axis=0), atol=0.01)
+    ranges = np.ptp(reported, axis=0) * 2.0 * np.pi / 4096
+    np.testing.assert_allclose(ranges, np.ptp(joints, axis=0), atol=0.01)
 
 
 @pytest.mark.slow
 def test_ranges_begin_in_the_middle_and_lead_every_joint_from_end_to_end(so101):
-    joints, _ = moved(so101, "ranges", MIDDLE_TIME + 6 * RANGE_TIME + 1.0)
+    joints, _ = record_motion(so101, "ranges", MIDDLE_TIME + 6 * RANGE_TIME + 1.0)
     limits = {joint.name: (joint.lower, joint.upper) for joint in so101.model().joints}
     low, high = np.array([limits[name] for name in NAMES]).T
     np.testing.assert_allclose(joints[int(MIDDLE_TIME * 10) - 5], (low + high) / 2.0, atol=0.05)
@@ -61,7 +65,7 @@ def test_a_taught_motion_is_led_forth_and_back(so101, tmp_path):
     q[:, 1] = 0.5 * time / 4.0
     file = tmp_path / "led.json"
     Motion(joints=NAMES[:5], time=time, q=q).save(file)
-    joints, _ = moved(so101, str(file), 8.0)
+    joints, _ = record_motion(so101, str(file), 8.0)
     assert joints[39, 1] == pytest.approx(0.5, abs=0.05)
     assert joints[-1, 1] == pytest.approx(0.0, abs=0.05)
 
@@ -82,7 +86,7 @@ def test_a_servo_with_torque_resists_the_hand(so101):
         largest = {"shoulder_lift": 0.0, "elbow_flex": 0.0}
         for _ in range(80):
             bus.world.advance(0.1)
-            for name, most in largest.items():
-                here = float(bus.plant.mj_data.joint(name).qpos[0])
-                largest[name] = max(most, abs(here - start))
+            for name, largest_angle in largest.items():
+                angle = float(bus.plant.mj_data.joint(name).qpos[0])
+                largest[name] = max(largest_angle, abs(angle - start))
     assert largest["shoulder_lift"] < 0.7 * largest["elbow_flex"]

@@ -60,44 +60,46 @@ def test_limits_reach_the_motors_and_the_arm_stays(build, share):
             )
             for mount, low, high in zip(mounts, model.lower, model.upper, strict=True)
         ]
-        chain = ServoBus(specs, rate=1.0 / TICK, reply_timeout_min=0.3, clock=ManualClock(bus))
+        servo_bus = ServoBus(specs, rate=1.0 / TICK, reply_timeout_min=0.3, clock=ManualClock(bus))
         try:
-            run(bus, chain, model, settings, share)
+            run(bus, servo_bus, model, settings, share)
         finally:
-            chain.close()
+            servo_bus.close()
 
 
-def run(bus, chain, model, settings, share):
-    chain.open()
+def run(bus, servo_bus, model, settings, share):
+    servo_bus.open()
     pose = bus.plant.q
-    ceiling = np.asarray(chain.servos.max_torque)
-    chain.enable(chain.read().position, 0.9 * ceiling)
-    controller = pliant.Controller(model, settings, chain.servos)
+    ceiling = np.asarray(servo_bus.servos.max_torque)
+    servo_bus.enable(servo_bus.read().position, 0.9 * ceiling)
+    controller = pliant.Controller(model, settings, servo_bus.servos)
     target = model.forward_kinematics(pose)
-    controller.reset(chain.read().position)
+    controller.reset(servo_bus.read().position)
     bus.faults.by_chance(lose=share / 3, corrupt=share / 3, deaf=share / 3)
     bus.log.clear()
-    q, missed = pose, 0
+    q, missing = pose, 0
     for _ in range(200):
-        sample = chain.read()
-        missed += not sample.ok.all()
+        sample = servo_bus.read()
+        missing += not sample.ok.all()
         q = np.where(sample.ok, sample.position, q)
         command = controller.step(q, target)
         before = bus.log.count
-        chain.write(command.goal, command.torque_limit)
+        servo_bus.write(command.goal, command.torque_limit)
         bus.advance(TICK)
-        struck = any(t.faults for t in list(bus.log)[-(bus.log.count - before) :])
+        has_faults = any(t.faults for t in list(bus.log)[-(bus.log.count - before) :])
         drives = [servo.drive() for servo in bus.servos]
-        if not struck:
+        if not has_faults:
             # Tolerance: one count of the register, and 0.2 % difference of the two stall torques.
             room = 0.002 * ceiling + ceiling / 500.0
             assert np.all(np.abs([d.ceiling for d in drives] - command.torque_limit) <= room)
         assert np.all([d.ceiling for d in drives] <= ceiling * 1.001)
-    away = np.linalg.norm(bus.plant.tool[:3, 3] - target[:3, 3])
+    error = np.linalg.norm(bus.plant.tool[:3, 3] - target[:3, 3])
     # Deviation that the dry friction of the gears can cause [rad].
-    stiction = [servo.model.motor.friction for servo in bus.servos] / np.asarray(chain.servos.kp)
-    assert away < 1.5 * np.abs(model.jacobian(pose)[:3] @ np.diag(stiction)).sum(axis=1).max()
-    assert missed <= 200 * share
+    stiction = [servo.model.motor.friction for servo in bus.servos] / np.asarray(
+        servo_bus.servos.kp
+    )
+    assert error < 1.5 * np.abs(model.jacobian(pose)[:3] @ np.diag(stiction)).sum(axis=1).max()
+    assert missing <= 200 * share
     assert not bus.log.eeprom_writes()
     assert not bus.log.goals_while_disabled()
     assert (bus.log.faulty > 0) == (share > 0.0)

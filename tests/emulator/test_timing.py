@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from emulator.helpers import p1, two
+from emulator.helpers import le16, p1
 
 from pliant import ConfigError
 from pliant.emulator import Device, SerialLine, Timing
@@ -24,7 +24,7 @@ def cycle(model, requests, baud=1_000_000, delay=0, **timing):
 
 def sync_2(instruction, address, length, data=None):
     parts = b"".join(bytes([id]) + (bytes(length) if data else b"") for id in IDS)
-    return packet_2(0xFE, instruction, bytes([*two(address), *two(length)]) + parts)
+    return packet_2(0xFE, instruction, bytes([*le16(address), *le16(length)]) + parts)
 
 
 P1_RX = [p1(id, 2, 36, 8) for id in IDS] + [
@@ -54,8 +54,10 @@ STS = [
     ],
 )
 def test_cycles_per_second_on_the_wire(model, requests, baud, delay, hertz):
-    turn = 30e-6 if delay == 0 else 0.0
-    assert cycle(model, requests, baud, delay, turnaround=turn) == pytest.approx(hertz, rel=0.02)
+    turnaround = 30e-6 if delay == 0 else 0.0
+    assert cycle(model, requests, baud, delay, turnaround=turnaround) == pytest.approx(
+        hertz, rel=0.02
+    )
 
 
 def test_a_fast_read_pays_the_return_delay_once():
@@ -88,9 +90,9 @@ def test_a_request_waits_until_the_wire_is_free():
         [Device("STS3215", id).build(1_000_000) for id in IDS],
         timing=Timing(wire=True, turnaround=0.0),
     )
-    write, read = STS[1], p1(1, 2, 56, 15)
-    (delivery,) = line.feed(write + read, 1_000_000)
-    assert delivery.after == pytest.approx((len(write) + len(read) + 21) * 10e-6)
+    write_request, read_request = STS[1], p1(1, 2, 56, 15)
+    (delivery,) = line.feed(write_request + read_request, 1_000_000)
+    assert delivery.after == pytest.approx((len(write_request) + len(read_request) + 21) * 10e-6)
     assert line.occupied == pytest.approx(delivery.after)
 
 

@@ -17,8 +17,8 @@ FOLLOWING = pliant.Settings(
 )
 
 
-def standing(arm, q, settings=FOLLOWING, **differs):
-    """Return an arm in pose q and a controller; `differs`: true values that it does not know."""
+def arm_in_pose(arm, q, settings=FOLLOWING, **differs):
+    """Return an arm in pose q and a controller; `differs`: true values that it does not assume."""
     if differs:
         gap = Mismatch(plant=Parameters(**differs), assumed=Parameters())
         plant = gap.build(arm, encoder_step=COUNT)
@@ -33,44 +33,44 @@ def standing(arm, q, settings=FOLLOWING, **differs):
 
 @pytest.mark.parametrize("kp", [0.5, 0.8, 1.25, 2.0])
 def test_an_arm_that_would_drift_stays_after_the_capture(arm, grasp, kp):
-    plant, controller = standing(arm, grasp, kp=kp)
-    found = identify.capture_gravity(plant, controller)
-    assert found.stays, str(found)
-    assert found.drift < 2e-3  # measured 0.0007
+    plant, controller = arm_in_pose(arm, grasp, kp=kp)
+    capture = identify.capture_gravity(plant, controller)
+    assert capture.stays, str(capture)
+    assert capture.drift < 2e-3  # measured 0.0007
     assert controller.settings == FOLLOWING
-    heavy = np.abs(found.gravity) > 1.0
-    assert np.abs(found.stiffness[heavy] / (kp * found.assumed[heavy]) - 1.0).max() < 0.3
-    assert sum("captured" in text for text in found.summary()) == found.captured.sum()
+    heavy = np.abs(capture.gravity) > 1.0
+    assert np.abs(capture.stiffness[heavy] / (kp * capture.assumed[heavy]) - 1.0).max() < 0.3
+    assert sum("captured" in text for text in capture.summary()) == capture.captured.sum()
 
 
 def test_a_drifting_arm_is_stopped_with_a_remedy():
-    """If k_p is twice the assumed one, the friction feed-forward is too, and the tool drifts."""
+    """With twice the assumed k_p the friction feed-forward is twice too large: the tool drifts."""
     so101 = pliant.robots.so101()
     settings = FOLLOWING.replace(
         task="xyz", axes={"y": pliant.Axis(yields="both", adaptation=0.999)}
     )
-    plant, controller = standing(so101, [0.2, -0.3, 0.3, 0.9, 0.0], settings, kp=2.0)
+    plant, controller = arm_in_pose(so101, [0.2, -0.3, 0.3, 0.9, 0.0], settings, kp=2.0)
     start = plant.tool[:3, 3]
-    found = identify.capture_gravity(plant, controller)
-    assert not found.stays
-    assert found.bound < found.drift < 5e-3
+    capture = identify.capture_gravity(plant, controller)
+    assert not capture.stays
+    assert capture.bound < capture.drift < 5e-3
     assert np.linalg.norm(plant.tool[:3, 3] - start) < 0.02
     assert controller.settings == settings
-    assert found.remedy is not None
-    assert found.remedy.compensation.friction < settings.compensation.friction
-    assert "controller.update(found.remedy)" in str(found)
+    assert capture.remedy is not None
+    assert capture.remedy.compensation.friction < settings.compensation.friction
+    assert "controller.update(found.remedy)" in str(capture)
 
 
-def test_a_wrong_payload_is_said_to_be_clipped(arm, grasp):
-    plant, controller = standing(arm, grasp, payload=1.2, kp=0.4)
-    found = identify.capture_gravity(plant, controller, check=0.0)
-    assert found.clipped.any()
-    assert not found.stays
-    assert any("clipped" in text and "wrong payload" in text for text in found.summary())
+def test_the_report_names_a_payload_that_was_clipped(arm, grasp):
+    plant, controller = arm_in_pose(arm, grasp, payload=1.2, kp=0.4)
+    capture = identify.capture_gravity(plant, controller, check=0.0)
+    assert capture.clipped.any()
+    assert not capture.stays
+    assert any("clipped" in text and "wrong payload" in text for text in capture.summary())
 
 
 def test_settings_come_back_after_an_exception(arm, grasp):
-    plant, controller = standing(arm, grasp)
+    plant, controller = arm_in_pose(arm, grasp)
     procedure = identify.capture_gravity.procedure(controller)
     for _ in range(5):
         plant.write(procedure.step(plant.read().q).goal)
@@ -80,29 +80,29 @@ def test_settings_come_back_after_an_exception(arm, grasp):
     with pytest.raises(pliant.ShapeError):
         procedure.step(np.full(7, np.nan))
     with pytest.raises(pliant.PliantError):
-        procedure.step(np.zeros(3))  # positions of an arm with another number of joints
+        procedure.step(np.zeros(3))  # positions of an arm with three joints
     assert controller.settings == FOLLOWING
 
 
 def test_it_runs_on_a_connected_arm():
     with bare_arm("arm7") as connected:
         controller = pliant.Controller(connected.model, pliant.Settings.soft("y"))
-        found = identify.capture_gravity(connected, controller, seconds=1.0, check=0.5)
-        assert found.captured.sum() >= 3
-        assert found.drift < 2e-3
+        capture = identify.capture_gravity(connected, controller, seconds=1.0, check=0.5)
+        assert capture.captured.sum() >= 3
+        assert capture.drift < 2e-3
 
 
 def test_numbers_out_of_range_are_refused(arm):
     controller = pliant.Controller(arm)
     with pytest.raises(pliant.OutOfRangeError, match="seconds"):
         identify.capture_gravity.procedure(controller, seconds=0.2)
-    bare = pliant.Controller(arm, pliant.Settings.paper())
-    assert bare.servos is not None  # built-in models have servo parameters
+    plain_controller = pliant.Controller(arm, pliant.Settings.paper())
+    assert plain_controller.servos is not None  # built-in models have servo parameters
 
 
 @pytest.mark.parametrize("kp", [0.8, 2.0])
 def test_the_check_predicts_the_motion_afterwards(kp):
     with Mismatch(plant=Parameters(kp=kp), assumed=Parameters()):
-        seen = try_capture("arm7", 0, kp)
-    assert seen.stays or seen.remedied
-    assert seen.later < 5e-3
+        result = try_capture("arm7", 0, kp)
+    assert result.stays or result.remedied
+    assert result.later < 5e-3

@@ -1,4 +1,4 @@
-"""Hand guiding for any k_p: the arm stays when untouched, and moves under a small force."""
+"""Hand guiding with any k_p: an untouched arm stays, and a small force moves it."""
 
 from contextlib import nullcontext
 
@@ -10,10 +10,10 @@ import pliant
 from experiments.hand_guiding import guide
 
 
-def afloat(arm, pose, kp):
-    """Run hand guiding on servos whose true stiffness is `kp` times the assumed one."""
-    known = kp == 1.0
-    with nullcontext() if known else Mismatch(plant=Parameters(kp=kp), assumed=Parameters()):
+def guide_arm(arm, pose, kp):
+    """Run hand guiding with a true stiffness of `kp` times the assumed one; return its figures."""
+    is_known = kp == 1.0
+    with nullcontext() if is_known else Mismatch(plant=Parameters(kp=kp), assumed=Parameters()):
         return guide(arm, pose, kp)
 
 
@@ -21,24 +21,24 @@ def afloat(arm, pose, kp):
     ("arm", "pose", "kp"), [("arm7", 1, 0.5), ("arm7", 2, 2.0), ("so101", 0, 1.0)]
 )
 def test_an_untouched_arm_stays_and_can_be_guided(arm, pose, kp):
-    seen = afloat(arm, pose, kp)
-    assert seen.idle < 2e-3
-    assert seen.force < (12.0 if arm == "arm7" else 2.0)
-    assert seen.led > 0.04
-    assert seen.later < 4e-3
+    result = guide_arm(arm, pose, kp)
+    assert result.idle < 2e-3
+    assert result.force < (12.0 if arm == "arm7" else 2.0)
+    assert result.led > 0.04
+    assert result.later < 4e-3
 
 
 @pytest.mark.full
 @pytest.mark.parametrize("kp", [0.5, 1.0, 2.0])
 @pytest.mark.parametrize("arm", ["arm7", "so101", "koch"])
 def test_nineteen_of_twenty_poses_stay(arm, kp):
-    idle = np.array([afloat(arm, pose, kp).idle for pose in range(20)])
+    idle = np.array([guide_arm(arm, pose, kp).idle for pose in range(20)])
     assert np.median(idle) < 1.2e-3
     assert (idle < 2e-3).mean() >= 0.95
 
 
 def test_goals_of_an_arm_at_rest_do_not_move(arm, grasp):
-    """The law has no integrator: while the arm rests, its goal is constant."""
+    """The law has no integrator, so that the goal of an arm at rest is constant."""
     floating = pliant.HandGuiding(arm)
     orders = []
     for _ in range(3000):
@@ -52,10 +52,10 @@ def test_goals_of_an_arm_at_rest_do_not_move(arm, grasp):
 
 @pytest.mark.parametrize("dt", [0.005, 0.02])
 def test_it_takes_the_time_of_a_loop_at_another_rate(arm, grasp, dt):
-    """At every time step, the first swing takes as long, and speeds are estimated correctly."""
-    hundred, other = pliant.HandGuiding(arm), pliant.HandGuiding(arm)
+    """The motion that begins hand guiding, and estimated speeds, do not depend on the time step."""
+    at_100_hz, at_other_rate = pliant.HandGuiding(arm), pliant.HandGuiding(arm)
     times, speeds = [], []
-    for floating, step in ((hundred, 0.01), (other, dt)):
+    for floating, step in ((at_100_hz, 0.01), (at_other_rate, dt)):
         ticks = 0
         while not floating.ready:
             floating.step(grasp, dt=step)
@@ -69,7 +69,7 @@ def test_it_takes_the_time_of_a_loop_at_another_rate(arm, grasp, dt):
     assert times[0] == pytest.approx(times[1], abs=0.5)
     assert speeds == pytest.approx([0.2, 0.2], rel=0.02)
     with pytest.raises(pliant.OutOfRangeError, match="dt"):
-        other.step(grasp, dt=0.0)
+        at_other_rate.step(grasp, dt=0.0)
 
 
 def test_only_a_known_stiffness_is_assumed(arm):
@@ -79,7 +79,7 @@ def test_only_a_known_stiffness_is_assumed(arm):
     assert (open_[1] / open_[0]).min() > 4.0
 
 
-def test_what_cannot_be_used_is_refused(arm, grasp):
+def test_invalid_arguments_of_hand_guiding_are_refused(arm, grasp):
     with pytest.raises(pliant.OutOfRangeError, match="rate"):
         pliant.HandGuiding(arm, rate=1.0)
     floating = pliant.HandGuiding(arm)

@@ -1,4 +1,4 @@
-"""`identify_servos`: identified against true values, and the benefit for the controller."""
+"""`identify_servos`: errors of the identified values, and benefit for the controller."""
 
 import numpy as np
 import pytest
@@ -13,9 +13,9 @@ from pliant.sim import Plant
 BANDS = (0.06, 0.15, 0.22, 0.25, 2.5e-3)  # measured 0.037, 0.133, 0.17, 0.20, 0.0018
 
 
-#: By case: true parameters of the arm. The identification assumes the servo table of the arm, no
+#: True parameters of the arm by case. The identification assumes the servo table of the arm, no
 #: load and no delay.
-SIDES = {
+TRUE_PARAMETERS = {
     "k_p × 0.8": {"kp": 0.8},
     "k_p × 1.25": {"kp": 1.25},
     "friction × 0.7": {"friction": 0.7},
@@ -29,15 +29,15 @@ SIDES = {
     "gears as they are": {"gears": True},
     "several at once": {"kp": 0.8, "friction": 1.3, "delay": 0.02, "lift": 2 / 3},
 }
-#: Cases in which the assumed parameters are the true ones.
+#: Cases in which the assumed parameters are true.
 AS_ASSUMED = {"as the table", "dead band 0.06°"}
 
 
-def identified(arm, case):
-    """Let an arm identify itself; check that plant and assumptions are those of the case."""
+def identify_case(arm, case):
+    """Identify a simulated arm, with a check of true and assumed parameters of the case."""
     if case in AS_ASSUMED:
         return experiment.identify_arm(arm, case)
-    side = dict(SIDES[case])
+    side = dict(TRUE_PARAMETERS[case])
     if "gears" in side:
         side["gears"] = experiment.GEARS[arm]
     side["payload"] = side.pop("lift", 0.0) * experiment.LIFTS[arm]
@@ -46,29 +46,29 @@ def identified(arm, case):
 
 
 def test_every_case_is_stated():
-    assert set(SIDES) | AS_ASSUMED == set(experiment.CASES)
+    assert set(TRUE_PARAMETERS) | AS_ASSUMED == set(experiment.CASES)
 
 
-def assert_right(one):
-    loaded, light, friction, damping, delay = BANDS
-    allowed = np.where(one.loaded, loaded, light)
-    assert (np.abs(one.kp - 1.0) < allowed).all(), one.kp
-    assert np.abs(one.friction - 1.0).max() < friction, one.friction
-    assert np.abs(one.damping - 1.0).max() < damping, one.damping
-    assert abs(one.delay) < delay
-    assert abs(one.mass_bars) < 3.0
-    assert abs(one.mass) < 0.15 * experiment.LIFTS[one.arm]
+def assert_right(result):
+    loaded_band, light_band, friction, damping, delay = BANDS
+    bands = np.where(result.loaded, loaded_band, light_band)
+    assert (np.abs(result.kp - 1.0) < bands).all(), result.kp
+    assert np.abs(result.friction - 1.0).max() < friction, result.friction
+    assert np.abs(result.damping - 1.0).max() < damping, result.damping
+    assert abs(result.delay) < delay
+    assert abs(result.mass_bars) < 3.0
+    assert abs(result.mass) < 0.15 * experiment.LIFTS[result.arm]
 
 
 @pytest.mark.parametrize(
     ("arm", "case"), [("arm7", "2 ticks of delay"), ("so101", "several at once")]
 )
 def test_an_arm_finds_its_servos_payload_and_delay(arm, case):
-    assert_right(identified(arm, case))
+    assert_right(identify_case(arm, case))
 
 
-#: All cases but the one with measured gear friction, which the model fits less well; that case has
-#: a test with wider bounds.
+#: All cases except that with measured gear friction: the model fits it less well, and it has a test
+#: with wider bounds.
 OTHERS = [case for case in experiment.CASES if case != "gears as they are"]
 
 
@@ -76,34 +76,36 @@ OTHERS = [case for case in experiment.CASES if case != "gears as they are"]
 @pytest.mark.parametrize("case", OTHERS)
 @pytest.mark.parametrize("arm", ["arm7", "so101", "koch"])
 def test_every_disturbance_is_found(arm, case):
-    assert_right(identified(arm, case))
+    assert_right(identify_case(arm, case))
 
 
 @pytest.mark.full
 @pytest.mark.parametrize("arm", ["so101", "koch"])
 def test_real_gears_of_small_arms_show_their_load(arm):
-    one = identified(arm, "gears as they are")
-    assert np.abs(one.kp - 1.0).max() < 0.08
-    assert np.abs(one.friction - 1.0).max() < 0.35  # measured 0.27
-    assert one.found.servos.load_friction.max() > 0.3  # STS3215: 0.245 + 0.142 of the load, at rest
+    result = identify_case(arm, "gears as they are")
+    assert np.abs(result.kp - 1.0).max() < 0.08
+    assert np.abs(result.friction - 1.0).max() < 0.35  # measured 0.27
+    assert (
+        result.found.servos.load_friction.max() > 0.3
+    )  # STS3215: 0.245 + 0.142 of the load, at rest
 
 
 @pytest.mark.full
 def test_an_identified_table_brings_drag_and_door_back_to_nominal():
-    (_, wrong), (_, found), (_, known) = experiment.rows()
+    (_, assumed), (_, identified), (_, known) = experiment.rows()
     for figure, nominal in known.items():
         if "angle" not in figure:
-            assert found[figure] <= 1.15 * nominal + 0.1, figure
-    assert wrong["15 N hand: force [N]"] > 1.5 * found["15 N hand: force [N]"]
+            assert identified[figure] <= 1.15 * nominal + 0.1, figure
+    assert assumed["15 N hand: force [N]"] > 1.5 * identified["15 N hand: force [N]"]
 
 
 def test_the_result_makes_a_controller():
-    found = identified("so101", "gears as they are").found
-    assert found.servos.load_friction[1:4].min() > 0.2  # STS3215: a quarter of the load, and more
+    result = identify_case("so101", "gears as they are").found
+    assert result.servos.load_friction[1:4].min() > 0.2  # STS3215: a quarter of the load, and more
     model = robots.so101()
-    controller = found.controller(model, pliant.Settings(task="xyz"))
-    assert controller.servos == found.servos
-    text = str(found)
+    controller = result.controller(model, pliant.Settings(task="xyz"))
+    assert controller.servos == result.servos
+    text = str(result)
     assert text.count("k_p") >= 5
     assert "loop delay" in text
 
@@ -120,19 +122,19 @@ def test_bad_arguments_are_refused_before_anything_moves():
     plant.reset(experiment.STARTS["so101"])
     with pytest.raises(pliant.OutOfRangeError, match="shoulder_pan would move"):
         identify.identify_servos(plant, model, poses=outside)
-    bare = pliant.Model.from_urdf_str(BARE, base="a", tip="b")
+    bare_model = pliant.Model.from_urdf_str(URDF_WITHOUT_SERVOS, base="a", tip="b")
     with pytest.raises(pliant.ConfigError, match="servo table"):
-        identify.identify_servos.procedure(bare)
+        identify.identify_servos.procedure(bare_model)
 
 
-BARE = """<robot name="r"><link name="a"/><link name="b"><inertial><mass value="1"/>
+URDF_WITHOUT_SERVOS = """<robot name="r"><link name="a"/><link name="b"><inertial><mass value="1"/>
 <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
 <joint name="j" type="revolute"><parent link="a"/><child link="b"/><axis xyz="0 1 0"/>
 <limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>"""
 
 
 def test_an_arm_that_is_held_is_left_holding():
-    """A torque limit far below gravity stands for a hand that holds the arm down."""
+    """A torque limit far below gravity acts like a hand that holds the arm down."""
     model = robots.arm7()
     weak = 3.0 / np.asarray(model.servos.max_torque)
     gap = Mismatch(plant=Parameters(payload=1.5), assumed=Parameters(torque=weak))
@@ -141,5 +143,5 @@ def test_an_arm_that_is_held_is_left_holding():
         plant.reset(experiment.STARTS["arm7"])
         with pytest.raises(pliant.ServoError, match=r"behind|left its range"):
             identify.identify_servos(plant, model, gap.servos(model))
-    sent = plant._bus.sent
-    assert np.abs(sent.goal - plant.q).max() < 0.2  # near its pose, not on the plan
+    command = plant._bus.sent
+    assert np.abs(command.goal - plant.q).max() < 0.2  # near its pose, not on the planned motion

@@ -1,4 +1,4 @@
-"""`Procedure` and `run_procedure`: any loop can run them, and they restore the settings."""
+"""`Procedure` and `run_procedure`: they run in any loop and restore the settings."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from pliant.identify import Procedure, run_procedure
 
 
 class Still:
-    """A minimal arm: it reaches its goal one tick later."""
+    """Minimal arm that reaches each goal one tick later."""
 
     def __init__(self, n=2):
         self.q, self.sent = np.zeros(n), []
@@ -24,27 +24,27 @@ class Still:
         self.q = np.array(self.sent[-1][0])
 
 
-def counting(ticks, left):
+def counting(ticks, log):
     def start(q):
         try:
             for k in range(ticks):
                 q = yield Command(q + 1.0, np.ones(2))
-                left.append(k)
+                log.append(k)
             return q
         finally:
-            left.append("put back")
+            log.append("put back")
 
     return start
 
 
-def test_positions_go_in_and_the_last_order_stays():
-    left = []
-    procedure = Procedure(counting(3, left), 2)
+def test_positions_are_passed_and_the_last_command_is_kept():
+    log = []
+    procedure = Procedure(counting(3, log), 2)
     orders = [procedure.step([float(k), 0.0]).goal[0] for k in range(5)]
     assert orders == [1.0, 2.0, 3.0, 3.0, 3.0]
     assert procedure.done
     np.testing.assert_array_equal(procedure.result, [3.0, 0.0])
-    assert left == [0, 1, 2, "put back"]
+    assert log == [0, 1, 2, "put back"]
 
 
 def test_drive_runs_an_arm_that_advances():
@@ -54,23 +54,23 @@ def test_drive_runs_an_arm_that_advances():
     assert len(arm.sent) == 5  # four steps, and the last command again
 
 
-def test_what_was_changed_is_put_back_when_the_arm_fails():
-    left = []
+def test_settings_are_restored_when_the_arm_fails():
+    log = []
 
     class Failing(Still):
         def advance(self):
             raise pliant.ServoTimeoutError("gone")
 
     with pytest.raises(pliant.ServoTimeoutError):
-        run_procedure(Failing(), Procedure(counting(3, left), 2))
-    assert left == ["put back"]
+        run_procedure(Failing(), Procedure(counting(3, log), 2))
+    assert log == ["put back"]
 
 
 def test_a_loop_that_ends_first_is_an_error():
-    left = []
+    log = []
     with pytest.raises(pliant.ServoError, match="ended before"):
-        run_procedure(Still(), Procedure(counting(3, left), 2), loop=[])
-    assert left == []
+        run_procedure(Still(), Procedure(counting(3, log), 2), loop=[])
+    assert log == []
 
 
 @pytest.mark.parametrize("q", [[np.nan, 0.0], 1.0, [[0.0]]])

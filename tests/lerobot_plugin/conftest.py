@@ -15,18 +15,18 @@ from pliant.sim import drive
 
 ROOT = Path(__file__).resolve().parents[2] / "integrations" / "lerobot"
 STANDIN = Path(__file__).parent / "standin"
-OURS = ("lerobot", "draccus", "lerobot_robot_pliant", "lerobot_teleoperator_wave")
+PACKAGES = ("lerobot", "draccus", "lerobot_robot_pliant", "lerobot_teleoperator_wave")
 
 
 @pytest.fixture(scope="session")
 def plugin(tmp_path_factory):
     """Import the plugin; LeRobot's folder is a temporary one."""
     home = tmp_path_factory.mktemp("lerobot")
-    places = [str(ROOT), str(ROOT / "tests")]
+    folders = [str(ROOT), str(ROOT / "tests")]
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("HF_LEROBOT_HOME", str(home))
         patch.setenv("HF_LEROBOT_CALIBRATION", str(home / "calibration"))
-        patch.setattr(sys, "path", [*places, *sys.path])
+        patch.setattr(sys, "path", [*folders, *sys.path])
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             try:
@@ -36,7 +36,7 @@ def plugin(tmp_path_factory):
             plugin = importlib.import_module("lerobot_robot_pliant")
             importlib.import_module("lerobot_teleoperator_wave")
         yield plugin
-        for name in [name for name in sys.modules if name.partition(".")[0] in OURS]:
+        for name in [name for name in sys.modules if name.partition(".")[0] in PACKAGES]:
             del sys.modules[name]
 
 

@@ -30,13 +30,13 @@ def envs(plugin):
 def test_features_are_those_of_the_environment(envs, name):
     config = envs.PliantEnv(task=f"{name}-v0", seconds=2.0)
     env = gymnasium.make(config.gym_id, disable_env_checker=True, **config.gym_kwargs)
-    seen, _ = env.reset(seed=0)
+    observation, _ = env.reset(seed=0)
     assert config.type == "pliant"
     assert config.features["action"].shape == env.action_space.shape
-    assert {name: config.features[name].shape for name in seen} == {
-        name: value.shape for name, value in seen.items()
+    assert {name: config.features[name].shape for name in observation} == {
+        name: value.shape for name, value in observation.items()
     }
-    assert env.observation_space.contains(seen)
+    assert env.observation_space.contains(observation)
     assert config.features_map.keys() >= config.features.keys()
     assert env.get_wrapper_attr("_max_episode_steps") == 40
     assert env.get_wrapper_attr("task_description").endswith(".")
@@ -47,17 +47,17 @@ def test_vectors_hold_the_observations_of_the_task(envs):
     options = config.gym_kwargs
     env = gymnasium.make(config.gym_id, disable_env_checker=True, **options)
     action = pliant.gym.SoftAction(soft="x z", motion="joints")
-    plain = pliant.gym.TaskEnv(pliant.gym.Wall(), action=action)
+    inner = pliant.gym.TaskEnv(pliant.gym.Wall(), action=action)
     env.reset(seed=5)
-    plain.reset(seed=5)
+    inner.reset(seed=5)
     move = np.linspace(-1.0, 1.0, 9)
-    seen, reward, *_ = env.step(move)
-    raw, expected, *_ = plain.step(move)
+    observation, reward, *_ = env.step(move)
+    raw, expected, *_ = inner.step(move)
     assert reward == expected
     state = np.concatenate([raw["q"], raw["dq"], raw["tool"]])
-    np.testing.assert_array_equal(seen["agent_pos"], state.astype(np.float32))
-    rest = np.concatenate([raw[k] for k in ("deviation", "force", "uncertainty", "caps")])
-    np.testing.assert_array_equal(seen["environment_state"], rest.astype(np.float32))
+    np.testing.assert_array_equal(observation["agent_pos"], state.astype(np.float32))
+    others = np.concatenate([raw[k] for k in ("deviation", "force", "uncertainty", "caps")])
+    np.testing.assert_array_equal(observation["environment_state"], others.astype(np.float32))
 
 
 def test_a_vector_of_lerobots_mode_names_the_success(envs):

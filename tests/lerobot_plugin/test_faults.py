@@ -19,43 +19,43 @@ from lerobot_plugin.helpers import (
 import pliant
 
 #: Initial joint positions near the table [rad], so that the descent is short.
-REST = [0.0, -1.2, 1.2, 0.6, 0.0]
+LOW_POSE = [0.0, -1.2, 1.2, 0.6, 0.0]
 
 
 @pytest.fixture
 def make(plugin):
     """Return a function that makes robots; they are disconnected at the end of the test."""
-    made = []
+    robots = []
 
     def build(**options):
         robot = plugin.PliantFollower(plugin.PliantFollowerConfig(backend="sim", **options))
-        made.append(robot)
+        robots.append(robot)
         return robot
 
     yield build
-    while made:
-        if made[-1].is_connected:
-            made[-1].disconnect()
-        made.pop()
+    while robots:
+        if robots[-1].is_connected:
+            robots[-1].disconnect()
+        robots.pop()
 
 
 def test_a_bus_that_fails_lowers_the_arm_once_it_is_back(make, errors, monkeypatch):
     """The control loop lowers the arm without a call by the program."""
-    robot = make(rest_q=REST)
+    robot = make(rest_q=LOW_POSE)
     robot.connect()
     arm = arm_of(robot)
-    read = arm.drive.read
-    broken = threading.Event()
+    original_read = arm.drive.read
+    is_broken = threading.Event()
 
     def unplugged():
-        if broken.is_set():
+        if is_broken.is_set():
             raise pliant.ServoError("unplugged")
-        return read()
+        return original_read()
 
     monkeypatch.setattr(arm.drive, "read", unplugged)
-    broken.set()
+    is_broken.set()
     wait(0.5)
-    broken.clear()
+    is_broken.clear()
     assert wait_for(lambda: not powered(arm))
     for call in (robot.get_observation, lambda: robot.send_action({})):
         with pytest.raises(errors.DeviceNotConnectedError, match="unplugged"):
@@ -69,7 +69,7 @@ def test_a_bus_that_fails_lowers_the_arm_once_it_is_back(make, errors, monkeypat
 
 
 def test_an_error_in_the_loop_lowers_the_arm_at_once(make, errors, monkeypatch):
-    robot = make(rest_q=REST)
+    robot = make(rest_q=LOW_POSE)
     robot.connect()
     arm = arm_of(robot)
 
@@ -97,7 +97,7 @@ def test_an_error_in_the_loop_leaves_the_arm_held_if_wanted(make, errors, monkey
 
 
 def test_a_robot_that_is_deleted_lowers_its_arm(make, plugin):
-    robot = plugin.PliantFollower(plugin.PliantFollowerConfig(backend="sim", rest_q=REST))
+    robot = plugin.PliantFollower(plugin.PliantFollowerConfig(backend="sim", rest_q=LOW_POSE))
     robot.connect()
     arm = arm_of(robot)
     del robot
@@ -108,15 +108,15 @@ def test_a_robot_that_is_deleted_lowers_its_arm(make, plugin):
 @pytest.fixture
 def interruptible():
     """Make Ctrl-C raise KeyboardInterrupt; a test run in the background would ignore it."""
-    former = signal.signal(signal.SIGINT, signal.default_int_handler)
+    previous = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
-    signal.signal(signal.SIGINT, former)
+    signal.signal(signal.SIGINT, previous)
 
 
 @pytest.mark.usefixtures("interruptible")
 def test_ctrl_c_reaches_the_program_and_disconnect_lowers(make):
     """The exception ends the loop; then `disconnect` is called, as in LeRobot's programs."""
-    robot = make(rest_q=REST)
+    robot = make(rest_q=LOW_POSE)
     robot.connect()
     arm = arm_of(robot)
     with pytest.raises(KeyboardInterrupt):
@@ -205,8 +205,8 @@ def test_two_arms_move_together_or_not_at_all(pair, errors):
     with pytest.raises(ValueError, match="nan"):
         pair.send_action({"left_shoulder_pan.pos": 5.0, "right_shoulder_pan.pos": float("nan")})
     assert [arm._session.behavior.target for arm in pair._arms.values()] == targets
-    sent = pair.send_action({"left_shoulder_pan.pos": 5.0})
-    assert sent == {"left_shoulder_pan.pos": pytest.approx(5.0)}
+    action = pair.send_action({"left_shoulder_pan.pos": 5.0})
+    assert action == {"left_shoulder_pan.pos": pytest.approx(5.0)}
     wait(1.5)
     observation = pair.get_observation()
     assert observation["left_shoulder_pan.pos"] == pytest.approx(5.0, abs=1.5)

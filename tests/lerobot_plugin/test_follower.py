@@ -66,12 +66,12 @@ def test_a_partial_action_leaves_the_other_targets(robot):
 
 def test_targets_are_clipped_and_the_clipped_ones_returned(robot):
     target = robot._session.behavior.target
-    sent = robot.send_action({"shoulder_lift.pos": 500.0, "gripper.pos": -7.0, "cap_z.vel": -1.0})
+    action = robot.send_action({"shoulder_lift.pos": 500.0, "gripper.pos": -7.0, "cap_z.vel": -1.0})
     highest = math.degrees(arm_of(robot).model.upper[1])
     # A turn has 4096 counts, but LeRobot's unit is 360° / 4095.
-    assert sent["shoulder_lift.pos"] == pytest.approx(highest * 4096 / 4095)
-    assert sent["gripper.pos"] == pytest.approx(0.0, abs=1e-9)
-    assert sent["cap_z.vel"] == 0.0
+    assert action["shoulder_lift.pos"] == pytest.approx(highest * 4096 / 4095)
+    assert action["gripper.pos"] == pytest.approx(0.0, abs=1e-9)
+    assert action["cap_z.vel"] == 0.0
     robot._session.behavior.target = target
 
 
@@ -103,16 +103,16 @@ def test_a_slow_policy_is_held_and_then_approached_slowly(robot, pause):
     wait(0.5)
     robot.send_action({"shoulder_pan.pos": 0.0})
     wait(pause)
-    held = positions(robot)
+    start = positions(robot)
     wait(0.02)
     robot.send_action({"shoulder_pan.pos": 40.0})
     wait(0.5)
-    moved = positions(robot)["shoulder_pan.pos"] - held["shoulder_pan.pos"]
-    assert abs(held["shoulder_lift.pos"]) < 2.0
+    change = positions(robot)["shoulder_pan.pos"] - start["shoulder_pan.pos"]
+    assert abs(start["shoulder_lift.pos"]) < 2.0
     assert powered(arm_of(robot))
     limit = math.degrees(robot.config.approach_speed * 0.5)
     # 0.6 m/s at the tool are about 100 °/s here.
-    assert (moved < 1.3 * limit) == (pause > 1.0)
+    assert (change < 1.3 * limit) == (pause > 1.0)
     robot.send_action({"shoulder_pan.pos": 0.0})
     wait(2.0)
 
@@ -139,24 +139,24 @@ def test_a_stall_of_the_interpreter_does_not_lower_the_arm(robot, monkeypatch):
 def test_the_force_in_the_action_is_the_force_at_the_table(robot):
     """Send one target inside the table with two values of `max_force`."""
     arm, model = arm_of(robot), arm_of(robot).model
-    inside = np.array([0.0, 0.0, 0.9, 0.6, 0.0])
-    assert np.asarray(model.forward_kinematics(inside))[2, 3] < -0.02
+    target_q = np.array([0.0, 0.0, 0.9, 0.6, 0.0])
+    assert np.asarray(model.forward_kinematics(target_q))[2, 3] < -0.02
     degrees = {
-        f"{motor}.pos": robot._units[motor].value(place)
-        for motor, place in zip(MOTORS, inside, strict=False)
+        f"{motor}.pos": robot._units[motor].value(value)
+        for motor, value in zip(MOTORS, target_q, strict=False)
     }
-    held = {}
+    forces = {}
     for cap in (1.0, 8.0):
         robot.send_action({f"{m}.pos": 0.0 for m in MOTORS[:5]} | {"cap_z.vel": cap})
         wait(3.0)
         for _ in range(30):
             robot.send_action(degrees)
             wait(0.1)
-        held[cap] = plant_of(robot).fixtures[0].force
-        felt = robot.get_observation()
-        assert felt["deviation_z.vel"] < -0.02
-    assert 0.2 < held[1.0] < 3.0
-    assert held[8.0] > held[1.0] + 1.0
+        forces[cap] = plant_of(robot).fixtures[0].force
+        observation = robot.get_observation()
+        assert observation["deviation_z.vel"] < -0.02
+    assert 0.2 < forces[1.0] < 3.0
+    assert forces[8.0] > forces[1.0] + 1.0
     robot.send_action({f"{m}.pos": 0.0 for m in MOTORS[:5]})
     wait(2.0)
     assert arm.enabled

@@ -1,4 +1,4 @@
-"""Teleoperators `pliant_leader` and `pliant_softness`, and LeRobot's calibration files."""
+"""Teleoperators `pliant_leader` and `pliant_softness`, and calibration files of LeRobot."""
 
 import json
 import math
@@ -29,14 +29,15 @@ def leader(plugin):
         leader.disconnect()
 
 
-def fastest(leader, seconds):
+def largest_speed(leader, seconds):
     """Return the largest joint speed [rad/s] during `seconds` of simulated time."""
-    plant, places = plant_of(leader), []
-    wait_for(lambda: places.append((plant.time, plant.q.copy())), seconds)
-    times = np.array([time for time, _ in places])
-    moved = np.abs(np.diff([q for _, q in places], axis=0)).max(axis=1)
-    late = np.diff(times) > 0.005
-    return float((moved[late] / np.diff(times)[late]).max())
+    plant, samples = plant_of(leader), []
+    wait_for(lambda: samples.append((plant.time, plant.q.copy())), seconds)
+    times = np.array([time for time, _ in samples])
+    changes = np.abs(np.diff([q for _, q in samples], axis=0)).max(axis=1)
+    intervals = np.diff(times)
+    is_long = intervals > 0.005  # [s]
+    return float((changes[is_long] / intervals[is_long]).max())
 
 
 def test_a_leader_hands_over_and_back_without_a_jump(leader):
@@ -44,37 +45,37 @@ def test_a_leader_hands_over_and_back_without_a_jump(leader):
     guiding = leader._session.control._loop.controller
     assert guiding.ready
     assert list(leader.get_action()) == list(leader.action_features)
-    rest = plant_of(leader).q.copy()
+    start_q = plant_of(leader).q.copy()
     wait(1.0)
-    assert plant_of(leader).q == pytest.approx(rest, abs=0.02)
+    assert plant_of(leader).q == pytest.approx(start_q, abs=0.02)
 
     leader.send_feedback({"shoulder_pan.pos": 60.0})
     wait(0.5)
-    assert plant_of(leader).q == pytest.approx(rest, abs=0.02)
+    assert plant_of(leader).q == pytest.approx(start_q, abs=0.02)
 
     leader.enable_torque()
     with pytest.raises(ValueError, match="nan"):
         leader.send_feedback({"shoulder_pan.pos": math.nan})
     start = leader.get_action()
     leader.send_feedback({"shoulder_pan.pos": start["shoulder_pan.pos"] + 40.0, "other.pos": 1.0})
-    assert fastest(leader, 3.0) < 0.9
+    assert largest_speed(leader, 3.0) < 0.9
     assert leader.get_action()["shoulder_pan.pos"] == pytest.approx(
         start["shoulder_pan.pos"] + 40.0, abs=2.0
     )
 
-    held = plant_of(leader).q.copy()
+    final_q = plant_of(leader).q.copy()
     leader.disable_torque()
-    assert fastest(leader, 4.0) < 0.2
+    assert largest_speed(leader, 4.0) < 0.2
     assert guiding.ready
-    assert plant_of(leader).q == pytest.approx(held, abs=0.03)
+    assert plant_of(leader).q == pytest.approx(final_q, abs=0.03)
 
 
 def test_a_gap_in_the_loop_does_not_swing_the_leader_again(leader):
-    """The first swing of hand guiding is not repeated: with a hand on the arm it would fail."""
+    """The motion of all joints that begins hand guiding is not repeated; a hand would block it."""
     loop, start = leader._session.control._loop, plant_of(leader).q.copy()
     loop._restart(arm_of(leader).read().q, first=False)
     assert loop.controller.ready
-    assert fastest(leader, 2.0) < 0.2
+    assert largest_speed(leader, 2.0) < 0.2
     assert plant_of(leader).q == pytest.approx(start, abs=0.03)
     assert leader.get_action()
 
@@ -145,9 +146,9 @@ def test_softness_checks_its_options(softness):
 
 
 @pytest.fixture
-def calibrated(plugin, tmp_path):
+def write_calibration(plugin, tmp_path):
     """Write a calibration for an id into one of LeRobot's folders."""
-    written = []
+    folders = []
 
     def write(folder, middle):
         folder.mkdir(parents=True, exist_ok=True)
@@ -162,30 +163,30 @@ def calibrated(plugin, tmp_path):
             for i, motor in enumerate(MOTORS, 1)
         }
         (folder / "black.json").write_text(json.dumps(table), "utf-8")
-        written.append(folder)
+        folders.append(folder)
         return folder
 
     yield write
-    for folder in written:
+    for folder in folders:
         shutil.rmtree(folder)
 
 
 @pytest.mark.parametrize("folder", ["so_follower", "so101_follower"])
-def test_the_calibration_of_the_stock_follower_is_found(plugin, calibrated, folder):
-    calibrated(calibrations() / "robots" / folder, 2000)
+def test_the_calibration_of_the_stock_follower_is_found(plugin, write_calibration, folder):
+    write_calibration(calibrations() / "robots" / folder, 2000)
     config = plugin.PliantFollowerConfig(id="black", port="unused")
     assert plugin.PliantFollower(config)._units["elbow_flex"].range_min == 1000
 
 
-def test_a_named_calibration_folder_comes_first(plugin, calibrated, tmp_path):
-    calibrated(calibrations() / "robots" / "so_follower", 2000)
-    own = calibrated(tmp_path / "mine", 2100)
-    config = plugin.PliantFollowerConfig(id="black", port="unused", calibration_dir=own)
+def test_a_named_calibration_folder_comes_first(plugin, write_calibration, tmp_path):
+    write_calibration(calibrations() / "robots" / "so_follower", 2000)
+    folder = write_calibration(tmp_path / "mine", 2100)
+    config = plugin.PliantFollowerConfig(id="black", port="unused", calibration_dir=folder)
     assert plugin.PliantFollower(config)._units["elbow_flex"].range_min == 1100
 
 
-def test_the_calibration_of_a_leader_is_another(plugin, calibrated):
-    calibrated(calibrations() / "teleoperators" / "so_leader", 2050)
+def test_the_calibration_of_a_leader_is_another(plugin, write_calibration):
+    write_calibration(calibrations() / "teleoperators" / "so_leader", 2050)
     leader = plugin.PliantLeader(plugin.PliantLeaderConfig(id="black", port="unused"))
     assert leader._units["elbow_flex"].range_min == 1050
     with pytest.raises(pliant.ConfigError, match="no calibration with id 'black'"):
@@ -207,7 +208,7 @@ def test_a_leader_moves_a_follower(plugin, leader):
     for _ in range(60):
         robot.send_action(leader.get_action())
         wait(1 / 15)
-    own, followed = leader.get_action(), positions(robot)
-    assert own["shoulder_pan.pos"] == pytest.approx(20.0, abs=2.0)
-    assert followed == pytest.approx(own, abs=3.0)
+    leader_q, follower_q = leader.get_action(), positions(robot)
+    assert leader_q["shoulder_pan.pos"] == pytest.approx(20.0, abs=2.0)
+    assert follower_q == pytest.approx(leader_q, abs=3.0)
     robot.disconnect()

@@ -1,4 +1,4 @@
-"""Truncated and damaged logs: reading gives an explained error or the data before the damage."""
+"""Truncated and damaged logs: reading gives a typed error, or the data before the damage."""
 
 import io
 import random
@@ -19,20 +19,20 @@ from pliant.teach import Motion
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
-    """Return a short log of a moving arm, its bytes and its columns."""
+def recording(tmp_path_factory):
+    """Record a moving arm for 2 s; return the bytes of the log file, and the log."""
     path = tmp_path_factory.mktemp("log") / "run.mcap"
     with bare_arm("so101", on_exit="leave_enabled") as arm:
         controller = pliant.Controller(arm.model, pliant.Settings.soft("y", task="xyz"), arm.servos)
         q = arm.read().q
         for tick in pliant.Loop(arm, controller, duration=2.0, recorder=Recorder(path)):
-            turned = q + 0.2 * np.sin(tick.time) * np.eye(len(q))[0]
-            tick.step(arm.model.forward_kinematics(turned))
+            moved_q = q + 0.2 * np.sin(tick.time) * np.eye(len(q))[0]
+            tick.step(arm.model.forward_kinematics(moved_q))
     return path.read_bytes(), read(path)
 
 
 @pytest.fixture
-def damaged(made, tmp_path):
+def damaged(recording, tmp_path):
     """Return a function that writes bytes to a log file and returns its path."""
 
     def write(content):
@@ -44,7 +44,7 @@ def damaged(made, tmp_path):
 
 
 def prefix(log, whole):
-    """Return True if a log is a prefix of another."""
+    """Return True if `log` is a prefix of `whole`."""
     assert log.run == whole.run
     assert len(log) <= len(whole)
     assert len(log.calls) <= len(whole.calls)
@@ -53,9 +53,9 @@ def prefix(log, whole):
         np.testing.assert_array_equal(column, whole.columns[name][: len(log)], err_msg=name)
 
 
-def test_a_damaged_log_is_explained_or_a_prefix(made, damaged):
-    content, whole = made
-    seen = Counter()
+def test_a_damaged_log_is_explained_or_a_prefix(recording, damaged):
+    content, whole = recording
+    outcomes = Counter()
     for seed in range(300):
         dice = random.Random(seed)
         copy = bytearray(content)
@@ -68,16 +68,16 @@ def test_a_damaged_log_is_explained_or_a_prefix(made, damaged):
             log = read(damaged(copy))
         except pliant.ConfigError as error:
             assert "is not a log of pliant" in str(error)  # noqa: PT017
-            seen["explained"] += 1
+            outcomes["explained"] += 1
             continue
         prefix(log, whole)
         assert not log.whole or (len(log) == len(whole) and not log.damage)
-        seen["whole" if log.whole else "damaged" if log.damage else "cut"] += 1
-    assert min(seen[kind] for kind in ("explained", "damaged", "cut")) > 3, seen
+        outcomes["whole" if log.whole else "damaged" if log.damage else "cut"] += 1
+    assert min(outcomes[kind] for kind in ("explained", "damaged", "cut")) > 3, outcomes
 
 
-def test_a_log_that_was_cut_anywhere_is_a_prefix(made, damaged):
-    content, whole = made
+def test_a_log_that_was_cut_anywhere_is_a_prefix(recording, damaged):
+    content, whole = recording
     for size in range(len(content) // 3, len(content) - len(MAGIC), len(content) // 60):
         log = read(damaged(content[:size]))
         prefix(log, whole)
@@ -86,13 +86,13 @@ def test_a_log_that_was_cut_anywhere_is_a_prefix(made, damaged):
     assert verify(log).same
 
 
-def test_a_missing_chunk_is_damage(made, damaged):
-    content, whole = made
-    chunks, at = [], 8
-    while content[at] != 2:  # footer
-        length = int.from_bytes(content[at + 1 : at + 9], "little")
-        chunks += [(at, at + 9 + length)] * (content[at] == 6)
-        at += 9 + length
+def test_a_missing_chunk_is_damage(recording, damaged):
+    content, whole = recording
+    chunks, offset = [], 8
+    while content[offset] != 2:  # footer
+        length = int.from_bytes(content[offset + 1 : offset + 9], "little")
+        chunks += [(offset, offset + 9 + length)] * (content[offset] == 6)
+        offset += 9 + length
     begin, end = chunks[1]
     log = read(damaged(content[:begin] + content[end:]))
     assert "is missing" in log.damage
@@ -102,19 +102,19 @@ def test_a_missing_chunk_is_damage(made, damaged):
 
 
 def test_a_cut_log_is_replayed_up_to_there_and_a_damaged_one_is_not(
-    made, damaged, capsys, monkeypatch
+    recording, damaged, capsys, monkeypatch
 ):
     monkeypatch.setattr("sys.stdin", io.StringIO())
-    content, _ = made
-    words = ["replay", "so101", str(damaged(content[: 3 * len(content) // 4])), "--backend", "sim"]
-    assert main(words) == 0
+    content, _ = recording
+    argv = ["replay", "so101", str(damaged(content[: 3 * len(content) // 4])), "--backend", "sim"]
+    assert main(argv) == 0
     out = capsys.readouterr().out
     assert "was cut short: it is played up to" in out
     assert "played 1 time in" in out
-    broken = bytearray(content)
-    broken[3 * len(content) // 4] ^= 255
-    path = damaged(broken)
-    assert main(words) == 2
+    damaged_content = bytearray(content)
+    damaged_content[3 * len(content) // 4] ^= 255
+    path = damaged(damaged_content)
+    assert main(argv) == 2
     assert "the log is damaged and is not played: the record at byte" in capsys.readouterr().err
     with pytest.raises(pliant.ConfigError, match="is damaged"):
         Motion.load(path)

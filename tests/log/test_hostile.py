@@ -21,8 +21,22 @@ from pliant.teach import Motion
 
 HEAD = struct.Struct("<BQ")
 CHUNK, ATTACHMENT = 0x06, 0x09
-ODD = [None, True, 0, -1, 1.5, "x", "", [], [1], {}, {"table": []}, {"tuple": [None]}, {"table": 3}]
-ODD += [
+INVALID_VALUES = [
+    None,
+    True,
+    0,
+    -1,
+    1.5,
+    "x",
+    "",
+    [],
+    [1],
+    {},
+    {"table": []},
+    {"tuple": [None]},
+    {"table": 3},
+]
+INVALID_VALUES += [
     {"type": "Settings", "fields": {}},
     {"type": "Nothing", "fields": {}},
     {"type": "Task"},
@@ -32,7 +46,7 @@ ODD += [
 
 @pytest.fixture(scope="module")
 def content(tmp_path_factory):
-    """Return the bytes of a whole log."""
+    """Return the bytes of a complete log."""
     path = tmp_path_factory.mktemp("logs") / "run.mcap"
     with bare_arm("koch", on_exit="leave_enabled") as arm:
         controller = pliant.Controller(arm.model, pliant.Settings.soft("y", task="xyz"), arm.servos)
@@ -46,14 +60,14 @@ def content(tmp_path_factory):
 
 def records(content):
     """Return kind and body of every record of an MCAP file."""
-    at = 8
-    while at < len(content) - 8:
-        kind, length = HEAD.unpack_from(content, at)
-        yield kind, content[at + HEAD.size : at + HEAD.size + length]
-        at += HEAD.size + length
+    offset = 8
+    while offset < len(content) - 8:
+        kind, length = HEAD.unpack_from(content, offset)
+        yield kind, content[offset + HEAD.size : offset + HEAD.size + length]
+        offset += HEAD.size + length
 
 
-def rebuilt(content, change):
+def rebuild(content, change):
     """Return the file with its records changed by `change`, a function of kind and body."""
     out = [content[:8]]
     for kind, body in records(content):
@@ -68,21 +82,22 @@ def with_run(content, run):
     def change(kind, body):
         if kind != ATTACHMENT:
             return body
-        at = 16
-        size = struct.unpack_from("<I", body, at)[0]
-        name = body[at + 4 : at + 4 + size].decode()
+        offset = 16
+        size = struct.unpack_from("<I", body, offset)[0]
+        name = body[offset + 4 : offset + 4 + size].decode()
         if name != layout.RUN:
             return body
-        at += 4 + size
-        at += 4 + struct.unpack_from("<I", body, at)[0]
+        offset += 4 + size
+        offset += 4 + struct.unpack_from("<I", body, offset)[0]
         text = json.dumps(run).encode()
-        body = body[:at] + struct.pack("<Q", len(text)) + text
+        body = body[:offset] + struct.pack("<Q", len(text)) + text
         return body + struct.pack("<I", zlib.crc32(body))
 
-    return rebuilt(content, change)
+    return rebuild(content, change)
 
 
-def described(content):
+def description_of(content):
+    """Return the description of the run that the file holds."""
     for kind, body in records(content):
         if kind == ATTACHMENT and layout.RUN.encode() in body[:100]:
             return json.loads(body[body.index(b"{") : -4])
@@ -94,36 +109,36 @@ def mutants(run):
     table = run["table"]
     for i, (key, _) in enumerate(table):
         yield f"without {key}", {"table": table[:i] + table[i + 1 :]}
-        for odd in ODD:
-            yield f"{key} = {odd!r}", {"table": [*table[:i], [key, odd], *table[i + 1 :]]}
-    at = next(i for i, (key, _) in enumerate(table) if key == "model")
-    inner = table[at][1]["table"]
+        for value in INVALID_VALUES:
+            yield f"{key} = {value!r}", {"table": [*table[:i], [key, value], *table[i + 1 :]]}
+    row = next(i for i, (key, _) in enumerate(table) if key == "model")
+    inner = table[row][1]["table"]
     for i, (key, _) in enumerate(inner):
-        for odd in ODD:
-            model = {"table": [*inner[:i], [key, odd], *inner[i + 1 :]]}
+        for value in INVALID_VALUES:
+            model = {"table": [*inner[:i], [key, value], *inner[i + 1 :]]}
             yield (
-                f"model {key} = {odd!r}",
-                {"table": [*table[:at], ["model", model], *table[at + 1 :]]},
+                f"model {key} = {value!r}",
+                {"table": [*table[:row], ["model", model], *table[row + 1 :]]},
             )
 
 
 def test_a_log_read_as_written(content, tmp_path):
     path = tmp_path / "run.mcap"
-    path.write_bytes(with_run(content, described(content)))
+    path.write_bytes(with_run(content, description_of(content)))
     assert verify(read(path)).same
 
 
 def test_crafted_descriptions_are_typed_errors(content, tmp_path):
-    path, count, taken = tmp_path / "run.mcap", 0, []
-    for name, run in mutants(described(content)):
+    path, count, accepted = tmp_path / "run.mcap", 0, []
+    for name, run in mutants(description_of(content)):
         path.write_bytes(with_run(content, run))
         count += 1
         try:
             log = read(path)
         except pliant.PliantError:
             continue
-        taken.append(name)
-        for use in (
+        accepted.append(name)
+        for call in (
             log.model,
             lambda log=log: log.settings,
             lambda log=log: log.servos,
@@ -132,12 +147,12 @@ def test_crafted_descriptions_are_typed_errors(content, tmp_path):
             lambda log=log: repr(log),
         ):
             try:
-                use()
+                call()
             except pliant.PliantError:
                 continue
         assert main(["log", "verify", str(path)]) in (0, 2), name
     assert count > 200
-    assert len(taken) < 0.4 * count, taken
+    assert len(accepted) < 0.4 * count, accepted
 
 
 @pytest.mark.parametrize("gigabytes", [0.08, 6.0])
@@ -148,23 +163,23 @@ def test_a_chunk_that_unpacks_to_too_much_is_refused(content, gigabytes, tmp_pat
     size = int(gigabytes * 2**30)
     zeros = zstandard.ZstdCompressor(level=1).compressobj(size=size)
     block = bytes(1 << 24)
-    packed, left = [], size
-    while left:
-        packed.append(zeros.compress(block[: min(left, len(block))]))
-        left -= min(left, len(block))
+    packed, remaining = [], size
+    while remaining:
+        packed.append(zeros.compress(block[: min(remaining, len(block))]))
+        remaining -= min(remaining, len(block))
     data = b"".join([*packed, zeros.flush()])
 
-    for said in (size, 1000):
+    for declared_size in (size, 1000):
         first = []
 
-        def change(kind, body, said=said, first=first):
+        def change(kind, body, declared_size=declared_size, first=first):
             if kind != CHUNK or first:
                 return body
             first.append(1)
             name = b"zstd"
             return (
                 body[:16]
-                + struct.pack("<QI", said, 0)
+                + struct.pack("<QI", declared_size, 0)
                 + struct.pack("<I", len(name))
                 + name
                 + struct.pack("<Q", len(data))
@@ -172,7 +187,7 @@ def test_a_chunk_that_unpacks_to_too_much_is_refused(content, gigabytes, tmp_pat
             )
 
         path = tmp_path / "bomb.mcap"
-        path.write_bytes(rebuilt(content, change))
+        path.write_bytes(rebuild(content, change))
         log = read(path)
         assert "unpacks to" in log.damage
         assert len(log) == 0
@@ -182,10 +197,10 @@ def test_notes_are_plain_text(content, tmp_path, capsys):
     path = tmp_path / "run.mcap"
     path.write_bytes(content)
     assert main(["log", "info", str(path)]) == 0
-    said = capsys.readouterr().out
-    assert "[/x] [the]" in said
-    assert "\x1b" not in said
-    assert "\x07" not in said
+    output = capsys.readouterr().out
+    assert "[/x] [the]" in output
+    assert "\x1b" not in output
+    assert "\x07" not in output
     assert printable("a\x9bb\tc\u202ed") == "a�b\tc�d"
 
 
@@ -199,8 +214,8 @@ def test_files_without_an_end_are_refused(tmp_path):
         "/dev/zero",
         *(str(tmp_path / f"{kind}.json") for kind in ("pipe", "folder", "large")),
     ):
-        for take in (read_calibration, Motion.load):
+        for load in (read_calibration, Motion.load):
             with pytest.raises(pliant.ConfigError, match=r"pipe or a device|a folder|larger than"):
-                take(name)
+                load(name)
     with pytest.raises(pliant.ConfigError):
         pliant.config.load(tmp_path / "pipe.toml")

@@ -26,28 +26,28 @@ def record(path, ticks=40, **options):
     """Record a run that uses every input of the controller once."""
     with bare_arm("arm7", q=START) as arm:
         settings = pliant.Settings.soft("y")
-        made = pliant.Controller(arm.model, settings, arm.servos)
+        recorded_controller = pliant.Controller(arm.model, settings, arm.servos)
         recorder = Recorder(path, **options)
         pose = arm.model.forward_kinematics(arm.read().q)
-        loop = pliant.Loop(arm, made, duration=ticks / 100.0, recorder=recorder)
+        loop = pliant.Loop(arm, recorded_controller, duration=ticks / 100.0, recorder=recorder)
         controller = loop.controller
         for tick in loop:
-            given = {"dt": tick.dt} if tick.index % 2 else {}
+            options_of_step = {"dt": tick.dt} if tick.index % 2 else {}
             if tick.index == 10:
                 controller.update(settings.replace(axes={"x": pliant.Axis(soft=3.0)}))
                 controller.set_payload(0.1, [0.0, 0.0, 0.05])
                 controller.set_gravity([0.1, 0.0, -9.8])
                 controller.set_delay(0.013)
             if tick.index > 15:
-                given["dq"] = 0.01 * np.sin(np.arange(7) + tick.index)
-                given["gradient"] = np.full(7, 0.1)
+                options_of_step["dq"] = 0.01 * np.sin(np.arange(7) + tick.index)
+                options_of_step["gradient"] = np.full(7, 0.1)
             if tick.index > 20:
-                given["twist"] = [0.0, 0.02, 0.0, 0.0, 0.0, 0.1]
+                options_of_step["twist"] = [0.0, 0.02, 0.0, 0.0, 0.0, 0.1]
             if tick.index == 30:
-                command = controller.step_joints(tick.q, tick.q + 0.01, **given)
+                command = controller.step_joints(tick.q, tick.q + 0.01, **options_of_step)
             else:
                 target = pliant.Pose(pose) if tick.index == 5 else pose
-                command = controller.step(tick.q, target, **given)
+                command = controller.step(tick.q, target, **options_of_step)
             tick.write(command)
         assert recorder.dropped == 0
     return read(path)
@@ -68,23 +68,23 @@ def test_the_same_inputs_give_the_same_commands(file):
     }  # fmt: skip
     again = verify(log)
     assert again.same
-    assert again.steps == len(log) + 1  # the loop primes the controller with a step of its own
+    assert again.steps == len(log) + 1  # the loop adds a step before the first tick
     np.testing.assert_array_equal(again.goal[1:], log.goal)
 
 
-@pytest.mark.parametrize("what", ["dt", "dq", "twist", "gradient", "target", "call"])
-def test_every_input_counts(file, what):
+@pytest.mark.parametrize("field", ["dt", "dq", "twist", "gradient", "target", "call"])
+def test_every_input_counts(file, field):
     log = read(file)
-    if what == "call":
+    if field == "call":
         log.calls = [call for call in log.calls if call.what != "update"]
-    elif what == "dt":
-        # Change dt in all calls: a single step with dq may give the same command without it.
+    elif field == "dt":
+        # Change dt in all calls: in one step, with dq given, it may have no effect.
         for call in log.calls:
             if call.what == "step" and np.isfinite(call.dt):
                 call.dt *= 1.01
     else:
         call = next(c for c in log.calls if c.what == "step" and c.sequence > 30)
-        getattr(call, what)[3] += 1e-3
+        getattr(call, field)[3] += 1e-3
     assert verify(log).differing > 0
 
 
@@ -128,10 +128,10 @@ def test_two_other_readers_open_it(file):
         )
 
         def messages(topic):
-            chosen = topics[topic]
+            channel = topics[topic]
             return [
-                (stamp, reader.deserialize(data, chosen.msgtype))
-                for _, stamp, data in reader.messages([chosen])
+                (stamp, reader.deserialize(data, channel.msgtype))
+                for _, stamp, data in reader.messages([channel])
             ]
 
         states = messages("/joint_states")
@@ -140,9 +140,9 @@ def test_two_other_readers_open_it(file):
         np.testing.assert_allclose(np.diff(stamps), np.diff(log.time), atol=1e-6)
         commands = messages("/command/joint_states")
         np.testing.assert_array_equal([m.effort for _, m in commands], log.torque_limit)
-        place = messages("/tcp/actual")[-1][1].pose.position
+        position = messages("/tcp/actual")[-1][1].pose.position
         pose = log.model().forward_kinematics(log.q[-1])
-        np.testing.assert_allclose([place.x, place.y, place.z], pose[:3, 3])
+        np.testing.assert_allclose([position.x, position.y, position.z], pose[:3, 3])
         assert "<robot" in messages("/robot_description")[0][1].data
         assert len(messages("/pliant/tick")) == len(log)
 
@@ -172,9 +172,11 @@ def wait_for(condition):
 @pytest.mark.parametrize("both", [False, True], ids=["the program", "program and writer"])
 def test_a_killed_run_can_be_read(tmp_path, both):
     path = tmp_path / "killed.mcap"
-    here = Path(__file__).parent
-    found = os.pathsep.join((os.environ.get("PYTHONPATH", ""), str(here), str(here.parent)))
-    environment = {**os.environ, "PYTHONPATH": found}
+    folder = Path(__file__).parent
+    search_path = os.pathsep.join(
+        (os.environ.get("PYTHONPATH", ""), str(folder), str(folder.parent))
+    )
+    environment = {**os.environ, "PYTHONPATH": search_path}
     with subprocess.Popen(
         [sys.executable, "-c", LOOP, str(path)], stdout=subprocess.PIPE, text=True, env=environment
     ) as process:
@@ -194,17 +196,17 @@ def test_a_killed_run_can_be_read(tmp_path, both):
 
 def test_a_writer_that_is_gone_does_not_stop_the_loop(tmp_path):
     with bare_arm("arm7", q=START) as arm:
-        made = pliant.Controller(arm.model, pliant.Settings.soft("y"), arm.servos)
+        controller = pliant.Controller(arm.model, pliant.Settings.soft("y"), arm.servos)
         recorder = Recorder(tmp_path / "gone.mcap")
-        loop = pliant.Loop(arm, made, duration=0.1, recorder=recorder)
+        loop = pliant.Loop(arm, controller, duration=0.1, recorder=recorder)
         recorder._process.kill()
         recorder._process.wait()
         pose = arm.model.forward_kinematics(arm.read().q)
-        written = (tick.step(pose) for tick in loop)
-        assert len(list(islice(written, 10))) == 10
+        steps = (tick.step(pose) for tick in loop)
+        assert len(list(islice(steps, 10))) == 10
         assert recorder.dropped > 0
         with pytest.raises(OSError, match=r"gone\.mcap"):
-            next(written)
+            next(steps)
 
 
 def test_memory_is_bounded(tmp_path):
@@ -216,9 +218,9 @@ def test_memory_is_bounded(tmp_path):
         sender.send(1, bytes(1000))
     assert sender.dropped > 100
     assert len(sender._backlog) <= 10_000 + 2000
-    begun = time.monotonic()
+    start_time = time.monotonic()
     sender.finish(0.2)
-    assert time.monotonic() - begun < 5.0
+    assert time.monotonic() - start_time < 5.0
     os.close(end)
     os.close(start)
 
@@ -237,11 +239,11 @@ def test_the_command_tells_draws_and_exports(file, tmp_path, capsys):
     rows = parquet.read_table(table)
     np.testing.assert_array_equal(rows["q." + log.run["joints"][3]], log.q[:, 3])
     np.testing.assert_array_equal(rows["deviation.y"], log.deviation[:, 1])
-    plain = tmp_path / "run.npz"
-    assert main(["log", "export", str(file), "--output", str(plain)]) == 0
-    with np.load(plain) as arrays:
+    archive = tmp_path / "run.npz"
+    assert main(["log", "export", str(file), "--output", str(archive)]) == 0
+    with np.load(archive) as arrays:
         np.testing.assert_array_equal(arrays["goal"], log.goal)
-    assert main(["log", "info", str(plain)]) == 2
+    assert main(["log", "info", str(archive)]) == 2
     assert "not a log" in capsys.readouterr().err
 
 
@@ -268,12 +270,12 @@ def test_hand_guiding_is_logged_without_a_controller(tmp_path):
         verify(log)
 
 
-def test_what_cannot_be_a_log_is_said(tmp_path):
+def test_invalid_logs_are_reported(tmp_path):
     with bare_arm("arm7", q=START) as arm:
-        made = pliant.Controller(arm.model, pliant.Settings.soft("y"), arm.servos)
-        made.step(START, arm.model.forward_kinematics(START))
+        controller = pliant.Controller(arm.model, pliant.Settings.soft("y"), arm.servos)
+        controller.step(START, arm.model.forward_kinematics(START))
         with pytest.raises(pliant.ConfigError, match="has made steps"):
-            pliant.Loop(arm, made, recorder=Recorder(tmp_path / "late.mcap"))
+            pliant.Loop(arm, controller, recorder=Recorder(tmp_path / "late.mcap"))
     assert not (tmp_path / "late.mcap").exists()
     (tmp_path / "none.mcap").write_bytes(b"no log")
     with pytest.raises(pliant.ConfigError, match="not a log"):

@@ -18,17 +18,17 @@ def arm():
 
 
 @pytest.mark.parametrize(
-    ("change", "kind", "said"),
+    ("change", "kind", "message"),
     [
         ({"path": 3}, TypeError, r"path must be that of a file, got 3 \(int\)"),
         ({"config": "so101"}, TypeError, "config must be what pliant.config.load gives"),
         ({"note": 5}, TypeError, "note must be a str"),
     ],
 )
-def test_arguments_of_another_kind_are_named(change, kind, said, tmp_path):
-    given = {"path": tmp_path / "x.mcap", **change}
-    with pytest.raises(kind, match=said):
-        Recorder(given.pop("path"), **given)
+def test_arguments_of_another_kind_are_named(change, kind, message, tmp_path):
+    arguments = {"path": tmp_path / "x.mcap", **change}
+    with pytest.raises(kind, match=message):
+        Recorder(arguments.pop("path"), **arguments)
     assert not list(tmp_path.iterdir())
 
 

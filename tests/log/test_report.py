@@ -1,4 +1,4 @@
-"""`pliant log report`: the page describes the run, and is self-contained."""
+"""`pliant log report`: the HTML page describes the run and is self-contained."""
 
 import re
 from html import unescape
@@ -19,22 +19,24 @@ pytest.importorskip("matplotlib")
 
 START = [-0.13, -0.60, 0.72, -1.74, 0.93, 0.68, -0.17]
 #: Sideways pull of the hand: start and end [s], and distance [m].
-FROM, UNTIL, AWAY = 0.5, 2.5, 0.15
+PULL_START, PULL_END, PULL_DISTANCE = 0.5, 2.5, 0.15
 
 
 def record(path, settings, duration=3.0, **options):
-    """Let a hand pull the tool of `arm7` toward +y and let go; return also its force (N, 3)."""
-    course = pliant.sim.ForceProfile(start=FROM, rise=0.5, end=UNTIL)
+    """Record a run in which a hand pulls the tool toward +y; return its force (N, 3) [N]."""
+    course = pliant.sim.ForceProfile(start=PULL_START, rise=0.5, end=PULL_END)
     hand = pliant.sim.Drag(
-        axis="y", distance=AWAY, stiffness=3000.0, limit=80.0, at="tool", course=course
+        axis="y", distance=PULL_DISTANCE, stiffness=3000.0, limit=80.0, at="tool", course=course
     )
     forces = []
     with bare_arm("arm7", q=START, scene=[hand]) as arm:
-        made = None if settings is None else pliant.Controller(arm.model, settings, arm.servos)
+        controller = (
+            None if settings is None else pliant.Controller(arm.model, settings, arm.servos)
+        )
         pose = arm.model.forward_kinematics(arm.read().q)
         recorder = Recorder(path, **options)
-        for tick in pliant.Loop(arm, made, duration=duration, recorder=recorder):
-            if made is None:
+        for tick in pliant.Loop(arm, controller, duration=duration, recorder=recorder):
+            if controller is None:
                 tick.skip()
             else:
                 tick.step(pose)
@@ -51,14 +53,14 @@ def run(tmp_path_factory):
 
 def test_the_force_of_the_hand_is_found_in_the_log(run):
     _, log, forces = run
-    seen = force_estimates.estimate_forces(log)
-    late = (findings.elapsed_time(log) > 1.8) & (findings.elapsed_time(log) < UNTIL - 0.6)
-    error = np.abs(seen.force[late, 1] - forces[late, 1])
-    assert late.sum() > 5
-    assert (error <= seen.bound[late, 1]).all()
-    assert forces[late, 1].min() > 10.0
-    assert findings.exceeded_share(log, seen, 1) == 0.0
-    assert seen.strengths["y"].firm == (15.0, 15.0)
+    estimates = force_estimates.estimate_forces(log)
+    is_settled = (findings.elapsed_time(log) > 1.8) & (findings.elapsed_time(log) < PULL_END - 0.6)
+    error = np.abs(estimates.force[is_settled, 1] - forces[is_settled, 1])
+    assert is_settled.sum() > 5
+    assert (error <= estimates.bound[is_settled, 1]).all()
+    assert forces[is_settled, 1].min() > 10.0
+    assert findings.exceeded_share(log, estimates, 1) == 0.0
+    assert estimates.strengths["y"].firm == (15.0, 15.0)
 
 
 def test_a_sentence_names_the_cap_of_a_firm_axis(run):
@@ -101,7 +103,7 @@ def test_stretches_are_those_of_the_log(tmp_path):
         total[span.joint] += span.end - span.start
     flagged = 0.01 * (log.saturated.sum(axis=0) + log.locked.sum(axis=0))
     for name, share in zip(log.run["joints"], flagged, strict=True):
-        # A span also includes gaps of up to MAX_GAP.
+        # A span may contain gaps of up to MAX_GAP.
         assert share - 1e-9 <= total[name] <= share + findings.MAX_GAP * len(spans)
 
 

@@ -40,7 +40,7 @@ def test_a_file_that_has_changed_is_not_read_again(tmp_path):
 
 
 def test_settings_keep_every_bit():
-    given = {
+    arguments = {
         "settings": pliant.Settings(
             task=pliant.Task(axes="xyz", frame=np.eye(3)),
             axes={"y": pliant.Axis(soft=0.1 / 3.0, firm=(15.0, 0.1 + 0.2), adaptation=0.9)},
@@ -50,9 +50,9 @@ def test_settings_keep_every_bit():
         "servos": pliant.robots.koch().servos,
         "axes": ("x", "y"),
     }
-    read = serialization.read(serialization.write(given))
-    assert read["settings"] == given["settings"]
-    assert read["servos"] == given["servos"]
+    result = serialization.read(serialization.write(arguments))
+    assert result["settings"] == arguments["settings"]
+    assert result["servos"] == arguments["servos"]
     for preset in (
         pliant.Settings.door(),
         pliant.Settings.wipe(press=5.0),
@@ -62,6 +62,6 @@ def test_settings_keep_every_bit():
 
 
 @pytest.mark.parametrize("text", ["", "{", '{"type": "Popen", "fields": {}}', '{"fields": 1}'])
-def test_what_is_none_is_refused(text):
+def test_invalid_values_are_refused(text):
     with pytest.raises(pliant.ConfigError, match="description"):
         serialization.read(text)

@@ -81,11 +81,11 @@ def _calls():
         controller.reset(value)
         return controller.step(q, target).goal
 
-    jacobian, six = model.jacobian(q), np.array([0.01, 0.02, 0.0, 0.1, 0.0, -0.1])
+    jacobian, twist = model.jacobian(q), np.array([0.01, 0.02, 0.0, 0.1, 0.0, -0.1])
     inverse = pliant.functional.damped_pseudo_inverse(jacobian, 0.1)
     projector = pliant.functional.null_space_projector(jacobian)
     activation = pliant.functional.activation(inverse, projector)
-    eight = np.arange(1.0, 8.0)
+    vector = np.arange(1.0, 8.0)
     hold = [1.0] * 6
     return {
         "kinematics q": ("q", q, lambda v: model.kinematics(v)[1]),
@@ -97,7 +97,7 @@ def _calls():
         "step q": ("q", q, lambda v: step(q=v)),
         "step target": ("target", target, lambda v: step(target=v)),
         "step dq": ("dq", 0.1 * q, lambda v: step(dq=v)),
-        "step twist": ("twist", six, lambda v: step(twist=v)),
+        "step twist": ("twist", twist, lambda v: step(twist=v)),
         "step gradient": ("gradient", q, lambda v: step(gradient=v)),
         "step_joints q": ("q", q, lambda v: fresh().step_joints(v, 0.9 * q).goal),
         "step_joints q_target": ("q_target", 0.9 * q, lambda v: fresh().step_joints(q, v).goal),
@@ -123,32 +123,32 @@ def _calls():
         ),
         "responsibility dx": (
             "dx",
-            six,
+            twist,
             lambda v: pliant.functional.responsibility(inverse, v, projector, q, 1.0),
         ),
         "joint_torque_limits A": (
             "A",
             activation,
-            lambda v: pliant.functional.joint_torque_limits(v, eight),
+            lambda v: pliant.functional.joint_torque_limits(v, vector),
         ),
         "joint_torque_limits strength": (
             "strength",
-            eight,
+            vector,
             lambda v: pliant.functional.joint_torque_limits(activation, v),
         ),
         "compliance deviation": (
             "deviation",
-            six,
+            twist,
             lambda v: pliant.functional.compliance(v, 0.01, 0.1),
         ),
         "compliance firm_from": (
             "firm_from",
-            six + 1,
-            lambda v: pliant.functional.compliance(six, 0.01, v),
+            twist + 1,
+            lambda v: pliant.functional.compliance(twist, 0.01, v),
         ),
         "holding_torque soft": (
             "soft",
-            six,
+            twist,
             lambda v: pliant.functional.holding_torque([0.5] * 6, v, hold, hold, True),
         ),
         "from_wxyz quaternion": (
@@ -158,7 +158,7 @@ def _calls():
         ),
         "from_rpy position": (
             "position",
-            six[:3],
+            twist[:3],
             lambda v: pliant.Pose.from_rpy(v, [0.1, 0.2, 0.3]).matrix,
         ),
         "pose_error actual": (
@@ -195,8 +195,8 @@ def test_single_precision_and_integers_are_widened(name, good, call):
     single = good.astype(np.float32)
     assert same_bits(call(single), call(single.astype(np.float64)))
     if name != "firm_from":
-        whole = np.zeros(good.shape, dtype=np.int64)
-        assert same_bits(call(whole), call(whole.astype(np.float64)))
+        integers = np.zeros(good.shape, dtype=np.int64)
+        assert same_bits(call(integers), call(integers.astype(np.float64)))
 
 
 @each_argument
@@ -216,9 +216,9 @@ def test_wrong_shapes_name_argument_shape_and_expectation(name, good, call, bad)
         "empty": np.empty((0,)),
         "scalar": np.float64(0.5),
     }[bad]
-    with pytest.raises(pliant.ShapeError) as caught:
+    with pytest.raises(pliant.ShapeError) as raised:
         call(value)
-    error = caught.value
+    error = raised.value
     assert isinstance(error, ValueError)
     assert error.what is not None
     assert error.expected
@@ -229,13 +229,13 @@ def test_wrong_shapes_name_argument_shape_and_expectation(name, good, call, bad)
 
 @each_argument
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_numbers_that_are_none_are_refused_by_name(name, good, call, bad):
+def test_non_finite_numbers_are_refused_by_name(name, good, call, bad):
     value = np.array(good)
     value[(-1,) * good.ndim if name not in {"target", "actual"} else (0, 3)] = bad
-    with pytest.raises(pliant.OutOfRangeError) as caught:
+    with pytest.raises(pliant.OutOfRangeError) as error:
         call(value)
-    assert caught.value.value is not None
-    assert not np.isfinite(caught.value.value)
+    assert error.value.value is not None
+    assert not np.isfinite(error.value.value)
 
 
 @each_argument
@@ -253,7 +253,7 @@ def test_numbers_that_are_none_are_refused_by_name(name, good, call, bad):
     ],
     ids=["text", "none", "texts", "ragged", "complex", "flags", "dict", "object"],
 )
-def test_what_holds_no_numbers_is_a_type_error_by_name(name, good, call, bad):
+def test_objects_without_numbers_are_type_errors_by_name(name, good, call, bad):
     if bad is None and name in {"dq", "twist", "gradient"}:
         return  # None is the default
     with pytest.raises(TypeError, match=f"^{name} must be an array of numbers"):
@@ -294,18 +294,18 @@ def test_batches_of_any_size_agree_with_single_calls():
     model = pliant.Model.from_urdf(GOLDEN / "arm7.urdf", tip="tool")
     generator = np.random.default_rng(1)
     for count in (0, 1, 5):
-        many = generator.uniform(-1.0, 1.0, (count, 7))
-        poses, jacobians = model.kinematics_batch(many, "local")
-        torques = model.gravity_batch(many)
+        batch = generator.uniform(-1.0, 1.0, (count, 7))
+        poses, jacobians = model.kinematics_batch(batch, "local")
+        torques = model.gravity_batch(batch)
         assert poses.shape == (count, 4, 4)
         assert jacobians.shape == (count, 6, 7)
         assert torques.shape == (count, 7)
-        assert same_bits(poses, model.forward_kinematics_batch(many))
-        assert same_bits(jacobians, model.jacobian_batch(many, reference="local"))
-        for row, pose, jacobian, torque in zip(many, poses, jacobians, torques, strict=True):
-            one = model.kinematics(row, reference="local")
-            assert same_bits(pose, one[0])
-            assert same_bits(jacobian, one[1])
+        assert same_bits(poses, model.forward_kinematics_batch(batch))
+        assert same_bits(jacobians, model.jacobian_batch(batch, reference="local"))
+        for row, pose, jacobian, torque in zip(batch, poses, jacobians, torques, strict=True):
+            single = model.kinematics(row, reference="local")
+            assert same_bits(pose, single[0])
+            assert same_bits(jacobian, single[1])
             assert same_bits(torque, model.gravity(row))
 
 
@@ -319,11 +319,11 @@ def test_kinematics_into_the_callers_arrays():
     assert same_bits(out[1], jacobian)
     with pytest.raises(pliant.ShapeError, match=r"out\[1\] has shape \(6, 6\), expected \(6, 7\)"):
         model.kinematics(q, out=(out[0], np.zeros((6, 6))))
-    for wrong in (np.zeros((6, 7), dtype=np.float32), np.zeros((7, 6)).T, _readonly(out[1])):
+    for array in (np.zeros((6, 7), dtype=np.float32), np.zeros((7, 6)).T, _readonly(out[1])):
         with pytest.raises(
             TypeError, match=r"out\[1\] must be a writable float64 array in C order"
         ):
-            model.kinematics(q, out=(out[0], wrong))
+            model.kinematics(q, out=(out[0], array))
     with pytest.raises(TypeError, match="out must be a pair"):
         model.kinematics(q, out=[out[0], out[1]])
 

@@ -45,15 +45,15 @@ def test_rows_have_the_bits_of_single_steps(model, law, count):
     controller = pliant.Controller(model, LAWS[law])
     state = controller.batch_state(count)
     assert (len(state), state.n) == (count, 7)
-    alone = [pliant.Controller(model, LAWS[law]) for _ in range(min(count, 20))]
+    controllers = [pliant.Controller(model, LAWS[law]) for _ in range(min(count, 20))]
     for tick in range(4):
         q, targets = arms(model, count, tick)
         dq = 0.1 * q if tick == 2 else None
         command = controller.step_batch(q, targets, state=state, dt=0.005, dq=dq)
         assert all(getattr(command, field).shape == (count, 7) for field in FIELDS)
-        for row, own in enumerate(alone):
+        for row, instance in enumerate(controllers):
             speed = None if dq is None else dq[row]
-            assert same(command, row, own.step(q[row], targets[row], dt=0.005, dq=speed))
+            assert same(command, row, instance.step(q[row], targets[row], dt=0.005, dq=speed))
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -80,10 +80,10 @@ def test_any_batch_is_its_rows(seed, law, count):
     state.reset(slice(None, None, 2), 0.5 * q[::2])
     command = controller.step_batch(q, targets, state=state)
     row = seed % count
-    alone = pliant.Controller(model, LAWS[law])
+    single = pliant.Controller(model, LAWS[law])
     if row % 2 == 0:
-        alone.reset(0.5 * q[row])
-    assert same(command, row, alone.step(q[row], targets[row]))
+        single.reset(0.5 * q[row])
+    assert same(command, row, single.step(q[row], targets[row]))
 
 
 FORMS = {
@@ -100,22 +100,27 @@ FORMS = {
 def test_other_forms_of_arrays_give_the_same_bits(model, form):
     controller = pliant.Controller(model, LAWS["cap"])
     q, targets = arms(model, 9)
-    want = controller.step_batch(q, targets, dq=0.1 * q)
+    expected = controller.step_batch(q, targets, dq=0.1 * q)
     make = FORMS[form]
-    got = controller.step_batch(make(q), make(targets), dq=make(0.1 * q))
-    assert all(getattr(got, f).tobytes() == getattr(want, f).tobytes() for f in FIELDS)
+    result = controller.step_batch(make(q), make(targets), dq=make(0.1 * q))
+    assert all(getattr(result, f).tobytes() == getattr(expected, f).tobytes() for f in FIELDS)
     single = q.astype(np.float32)
-    wide = controller.step_batch(single.astype(float), targets)
-    assert np.array_equal(controller.step_batch(single, targets).goal, wide.goal)
+    doubled = controller.step_batch(single.astype(float), targets)
+    assert np.array_equal(controller.step_batch(single, targets).goal, doubled.goal)
 
 
 def test_one_target_for_all_in_every_form_that_a_step_takes(model):
     controller = pliant.Controller(model, LAWS["cap"])
     q, targets = arms(model, 4)
-    one = targets[2].copy()
-    want = controller.step_batch(q, np.stack([one] * 4)).goal
-    for form in (one, one.tolist(), pliant.Pose(one), np.asfortranarray(one)):
-        assert np.array_equal(controller.step_batch(q, form).goal, want)
+    common_target = targets[2].copy()
+    expected = controller.step_batch(q, np.stack([common_target] * 4)).goal
+    for form in (
+        common_target,
+        common_target.tolist(),
+        pliant.Pose(common_target),
+        np.asfortranarray(common_target),
+    ):
+        assert np.array_equal(controller.step_batch(q, form).goal, expected)
     poses = [pliant.Pose(target) for target in targets]
     assert np.array_equal(
         controller.step_batch(q, poses).goal, controller.step_batch(q, targets).goal
@@ -126,11 +131,11 @@ def test_positions_alone_where_no_rotation_is_controlled(model):
     lateral = pliant.Controller(model, pliant.Settings(task=pliant.Task(axes="xyz")))
     q, targets = arms(model, 4)
     positions = targets[:, :3, 3]
-    turned = targets.copy()
-    turned[:, :3, :3] = np.eye(3)
-    want = lateral.step_batch(q, turned).goal
-    assert np.array_equal(lateral.step_batch(q, positions).goal, want)
-    assert np.array_equal(lateral.step_batch(q, positions.copy()).goal, want)
+    rotated_targets = targets.copy()
+    rotated_targets[:, :3, :3] = np.eye(3)
+    expected = lateral.step_batch(q, rotated_targets).goal
+    assert np.array_equal(lateral.step_batch(q, positions).goal, expected)
+    assert np.array_equal(lateral.step_batch(q, positions.copy()).goal, expected)
     assert np.array_equal(
         lateral.step_batch(q, positions[1]).goal,
         lateral.step_batch(q, np.stack([positions[1]] * 4)).goal,
@@ -173,15 +178,17 @@ def test_arguments_that_do_not_fit_are_named(model, change, match):
 def test_results_into_the_callers_arrays(model):
     controller = pliant.Controller(model, LAWS["cap"])
     q, targets = arms(model, 150)
-    want = controller.step_batch(q, targets)
-    mine = tuple(np.full((150, 7), -1.0) for _ in FIELDS)
-    command = controller.step_batch(q, targets, out=mine)
-    assert all(getattr(command, field) is array for field, array in zip(FIELDS, mine, strict=True))
+    expected = controller.step_batch(q, targets)
+    arrays = tuple(np.full((150, 7), -1.0) for _ in FIELDS)
+    command = controller.step_batch(q, targets, out=arrays)
+    assert all(
+        getattr(command, field) is array for field, array in zip(FIELDS, arrays, strict=True)
+    )
     again = controller.step_batch(q[::-1].copy(), targets[::-1].copy(), out=command)
     assert again is command
-    assert all(np.array_equal(mine[i], getattr(want, f)[::-1]) for i, f in enumerate(FIELDS))
-    kept = [controller.step_batch(q, targets) for _ in range(5)]
-    assert len({id(command.goal) for command in kept}) == 5, (
+    assert all(np.array_equal(arrays[i], getattr(expected, f)[::-1]) for i, f in enumerate(FIELDS))
+    results = [controller.step_batch(q, targets) for _ in range(5)]
+    assert len({id(command.goal) for command in results}) == 5, (
         "results that are kept are nobody else's"
     )
 
@@ -190,11 +197,11 @@ def test_arrays_that_cannot_be_written_are_refused(model):
     controller = pliant.Controller(model, LAWS["cap"])
     q, targets = arms(model, 4)
     state = controller.batch_state(4)
-    kept = pickle.dumps(state)
-    good = [np.zeros((4, 7)) for _ in FIELDS]
+    snapshot = pickle.dumps(state)
+    valid = [np.zeros((4, 7)) for _ in FIELDS]
     readonly = np.zeros((4, 7))
     readonly.flags.writeable = False
-    for bad, error in [
+    for invalid, error in [
         (np.zeros((4, 6)), r"out\[1\] has shape \(4, 6\), expected \(4, 7\)"),
         (np.zeros((5, 7)), r"out\[1\] has shape \(5, 7\)"),
         (np.zeros((4, 7), dtype=np.float32), r"out\[1\] must be a writable float64 array"),
@@ -203,29 +210,29 @@ def test_arrays_that_cannot_be_written_are_refused(model):
         ([[0.0] * 7] * 4, r"out\[1\] must be a writable"),
     ]:
         with pytest.raises((pliant.ShapeError, TypeError), match=error):
-            controller.step_batch(q, targets, state=state, out=(good[0], bad, good[2]))
+            controller.step_batch(q, targets, state=state, out=(valid[0], invalid, valid[2]))
     with pytest.raises(ValueError, match=r"out\[0\] and out\[2\] must not share memory"):
-        controller.step_batch(q, targets, state=state, out=(good[0], good[1], good[0]))
+        controller.step_batch(q, targets, state=state, out=(valid[0], valid[1], valid[0]))
     room = np.zeros((6, 7))
     with pytest.raises(ValueError, match=r"out\[0\] and out\[1\] must not share memory"):
-        controller.step_batch(q, targets, state=state, out=(room[:4], room[2:], good[2]))
+        controller.step_batch(q, targets, state=state, out=(room[:4], room[2:], valid[2]))
     with pytest.raises(pliant.ShapeError, match=r"out\[0\] has shape \(7,\), expected \(4, 7\)"):
         controller.step_batch(q, targets, state=state, out=controller.step(q[0], targets[0]))
-    assert pickle.dumps(state) == kept
+    assert pickle.dumps(state) == snapshot
 
 
 def test_results_may_overwrite_the_inputs(model):
     controller = pliant.Controller(model, LAWS["cap"])
     q, targets = arms(model, 150)
-    want = controller.step_batch(q, targets)
-    own = q.copy()
-    controller.step_batch(own, targets, out=(own, np.zeros_like(q), np.zeros_like(q)))
-    assert np.array_equal(own, want.goal)
+    expected = controller.step_batch(q, targets)
+    buffer = q.copy()
+    controller.step_batch(buffer, targets, out=(buffer, np.zeros_like(q), np.zeros_like(q)))
+    assert np.array_equal(buffer, expected.goal)
     room = targets.copy().reshape(-1)
-    inside = room[: q.size].reshape(q.shape)
+    view = room[: q.size].reshape(q.shape)
     overlapping = room.reshape(targets.shape)
-    controller.step_batch(q, overlapping, out=(np.zeros_like(q), inside, np.zeros_like(q)))
-    assert np.array_equal(inside, want.torque_limit)
+    controller.step_batch(q, overlapping, out=(np.zeros_like(q), view, np.zeros_like(q)))
+    assert np.array_equal(view, expected.torque_limit)
 
 
 def test_a_bad_row_is_named_and_changes_nothing(model):
@@ -233,38 +240,38 @@ def test_a_bad_row_is_named_and_changes_nothing(model):
     q, targets = arms(model, 150)
     state = controller.batch_state(150)
     controller.step_batch(q, targets, state=state)
-    kept = pickle.dumps(state)
-    bad = q.copy()
-    bad[77, 2], bad[140, 0] = np.nan, np.inf
+    snapshot = pickle.dumps(state)
+    invalid_q = q.copy()
+    invalid_q[77, 2], invalid_q[140, 0] = np.nan, np.inf
     with pytest.raises(pliant.OutOfRangeError, match=r"^Q\[77\]: q\[2\] \(\w+\) = NaN is outside"):
-        controller.step_batch(bad, targets, state=state)
-    turned = targets.copy()
-    turned[5, 0, 0] += 0.1
+        controller.step_batch(invalid_q, targets, state=state)
+    rotated_targets = targets.copy()
+    rotated_targets[5, 0, 0] += 0.1
     with pytest.raises(pliant.ConfigError, match=r"^targets\[5\]: rotation part is not a rotation"):
-        controller.step_batch(q, turned, state=state)
+        controller.step_batch(q, rotated_targets, state=state)
     with pytest.raises(pliant.OutOfRangeError, match=r"^dq\[77\]: dq\[2\]"):
-        controller.step_batch(q, targets, state=state, dq=bad)
-    assert pickle.dumps(state) == kept
+        controller.step_batch(q, targets, state=state, dq=invalid_q)
+    assert pickle.dumps(state) == snapshot
 
 
 def test_bad_rows_are_nan_where_asked_for(model):
     controller = pliant.Controller(model, LAWS["cap"])
     q, targets = arms(model, 150)
     state, other = controller.batch_state(150), controller.batch_state(150)
-    good = controller.step_batch(q, targets, state=other)
-    bad = q.copy()
-    bad[[0, 77, 149], 2] = np.nan
-    command = controller.step_batch(bad, targets, state=state, invalid="nan")
+    valid = controller.step_batch(q, targets, state=other)
+    invalid_q = q.copy()
+    invalid_q[[0, 77, 149], 2] = np.nan
+    command = controller.step_batch(invalid_q, targets, state=state, invalid="nan")
     fine = np.ones(150, dtype=bool)
     fine[[0, 77, 149]] = False
     for field in FIELDS:
         assert np.isnan(getattr(command, field)[~fine]).all()
-        assert np.array_equal(getattr(command, field)[fine], getattr(good, field)[fine])
+        assert np.array_equal(getattr(command, field)[fine], getattr(valid, field)[fine])
     # The other arms continue; the arms that were reset start with their next step.
     again = controller.step_batch(q, targets, state=state)
     onward = controller.step_batch(q, targets, state=other)
     assert np.array_equal(again.goal[fine], onward.goal[fine])
-    assert np.array_equal(again.goal[~fine], good.goal[~fine])
+    assert np.array_equal(again.goal[~fine], valid.goal[~fine])
 
 
 def test_states_can_be_reset_copied_and_pickled(model):
@@ -273,11 +280,11 @@ def test_states_can_be_reset_copied_and_pickled(model):
     state = controller.batch_state(6)
     controller.step_batch(q, targets, state=state)
     copies = [copy.copy(state), copy.deepcopy(state), pickle.loads(pickle.dumps(state))]
-    want = controller.step_batch(q, targets, state=state)
+    expected = controller.step_batch(q, targets, state=state)
     for other in copies:
-        assert np.array_equal(controller.step_batch(q, targets, state=other).goal, want.goal)
+        assert np.array_equal(controller.step_batch(q, targets, state=other).goal, expected.goal)
     assert repr(state) == "<BatchState of 6 arms of 7 joints>"
-    fresh = controller.step_batch(q, targets, state=controller.batch_state(6))
+    initial = controller.step_batch(q, targets, state=controller.batch_state(6))
     for indices, rows in [
         (None, range(6)),
         ([0, -1], [0, 5]),
@@ -286,13 +293,13 @@ def test_states_can_be_reset_copied_and_pickled(model):
         (3, [3]),
         ([], []),
     ]:
-        tried = copy.copy(copies[0])
-        tried.reset(indices)
-        got = controller.step_batch(q, targets, state=tried)
-        kept = controller.step_batch(q, targets, state=copy.copy(copies[0]))
+        state_copy = copy.copy(copies[0])
+        state_copy.reset(indices)
+        result = controller.step_batch(q, targets, state=state_copy)
+        continued = controller.step_batch(q, targets, state=copy.copy(copies[0]))
         for row in range(6):
-            reference = fresh if row in rows else kept
-            assert np.array_equal(got.goal[row], reference.goal[row]), (indices, row)
+            reference = initial if row in rows else continued
+            assert np.array_equal(result.goal[row], reference.goal[row]), (indices, row)
     with pytest.raises(IndexError):
         state.reset(6)
     with pytest.raises(IndexError):
@@ -312,7 +319,7 @@ def test_states_can_be_reset_copied_and_pickled(model):
 def test_python_runs_meanwhile_and_a_state_is_not_shared(model):
     controller = pliant.Controller(model, LAWS["cap"])
     q, targets = arms(model, 60_000)
-    state, turns, errors = controller.batch_state(len(q)), [], []
+    state, iterations, errors = controller.batch_state(len(q)), [], []
 
     def work():
         try:
@@ -324,13 +331,13 @@ def test_python_runs_meanwhile_and_a_state_is_not_shared(model):
     thread = threading.Thread(target=work)
     thread.start()
     while thread.is_alive():
-        turns.append(None)
+        iterations.append(None)
         try:
             len(state)
         except RuntimeError as error:
             errors.append(str(error))
     thread.join()
-    assert len(turns) > 100, "this thread had no turn"
+    assert len(iterations) > 100, "this thread had no turn"
     assert errors
     assert all("borrow" in error.lower() for error in errors)
 
@@ -338,20 +345,20 @@ def test_python_runs_meanwhile_and_a_state_is_not_shared(model):
 def test_threads_with_their_own_states_get_what_they_get_alone(model):
     controller = pliant.Controller(model, LAWS["cap"])
 
-    def drive(seed, into):
+    def drive(seed, results):
         state = controller.batch_state(200)
         for tick in range(5):
-            into.append(controller.step_batch(*arms(model, 200, seed + tick), state=state).goal)
+            results.append(controller.step_batch(*arms(model, 200, seed + tick), state=state).goal)
 
-    alone, together = [[] for _ in range(4)], [[] for _ in range(4)]
-    for seed, into in enumerate(alone):
-        drive(seed, into)
-    threads = [threading.Thread(target=drive, args=(i, t)) for i, t in enumerate(together)]
+    sequential, concurrent = [[] for _ in range(4)], [[] for _ in range(4)]
+    for seed, results in enumerate(sequential):
+        drive(seed, results)
+    threads = [threading.Thread(target=drive, args=(i, t)) for i, t in enumerate(concurrent)]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join()
-    for a, b in zip(alone, together, strict=True):
+    for a, b in zip(sequential, concurrent, strict=True):
         assert all(np.array_equal(x, y) for x, y in zip(a, b, strict=True))
 
 
@@ -373,19 +380,19 @@ def test_each_row_may_have_caps_and_adaptation_of_its_own(model, law):
     rng = np.random.default_rng(5)
     caps, adaptation = rng.uniform(0.0, hold, 20), rng.uniform(0.0, 0.9, 20)
     caps[:2] = 0.0, hold
-    alone = []
+    controllers = []
     for cap, eta in zip(caps.tolist(), adaptation.tolist(), strict=True):
         axis = pliant.Axis(soft=cap, firm=cap, hold=hold, adaptation=eta, **spring)
-        alone.append(pliant.Controller(model, settings.replace(axes={"y": axis})))
+        controllers.append(pliant.Controller(model, settings.replace(axes={"y": axis})))
     rows = {"caps": row_axes(20, y=caps), "adaptation": row_axes(20, y=adaptation)}
     state, other = controller.batch_state(20), controller.batch_state(20)
     for tick in range(4):
         q, targets = arms(model, 20, tick)
         command = controller.step_batch(q, targets, state=state, **rows)
-        for row, own in enumerate(alone):
-            assert same(command, row, own.step(q[row], targets[row]))
-        plain = controller.step_batch(q, targets, state=other)
-    assert not np.array_equal(plain.torque_limit, command.torque_limit)
+        for row, instance in enumerate(controllers):
+            assert same(command, row, instance.step(q[row], targets[row]))
+        without_options = controller.step_batch(q, targets, state=other)
+    assert not np.array_equal(without_options.torque_limit, command.torque_limit)
 
 
 def test_wrong_caps_and_adaptation_are_named(model):
@@ -393,10 +400,10 @@ def test_wrong_caps_and_adaptation_are_named(model):
     q, targets = arms(model, 4)
     state = controller.batch_state(4)
     hold = controller.axes["y"].hold
-    good = {"caps": row_axes(4, y=3.0), "adaptation": row_axes(4, y=0.5)}
-    controller.step_batch(q, targets, state=state, **good)
-    kept = pickle.dumps(state)
-    for name, values, kind, said in [
+    valid = {"caps": row_axes(4, y=3.0), "adaptation": row_axes(4, y=0.5)}
+    controller.step_batch(q, targets, state=state, **valid)
+    snapshot = pickle.dumps(state)
+    for name, values, kind, message in [
         (
             "caps",
             row_axes(4, y=[1, 1, hold + 1, 1]),
@@ -416,6 +423,6 @@ def test_wrong_caps_and_adaptation_are_named(model):
         ("adaptation", row_axes(4, y=1.0), "OutOfRangeError", r"adaptation\[0\]: y = 1 is outside"),
         ("adaptation", row_axes(5, y=0.1), "ShapeError", r"adaptation has shape \(5, 6\)"),
     ]:
-        with pytest.raises(getattr(pliant, kind), match=said):
-            controller.step_batch(q, targets, state=state, **{**good, name: values})
-        assert pickle.dumps(state) == kept
+        with pytest.raises(getattr(pliant, kind), match=message):
+            controller.step_batch(q, targets, state=state, **{**valid, name: values})
+        assert pickle.dumps(state) == snapshot

@@ -9,13 +9,13 @@ import sys
 import pytest
 
 
-def ran(code):
+def run_code(code):
     """Run a program that must succeed; return its output."""
-    done = subprocess.run(
+    result = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False
     )
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+    assert result.returncode == 0, result.stderr
+    return result.stdout
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no fork")
@@ -35,7 +35,7 @@ if os.fork() == 0:
     os._exit(0 if same else 1)
 print(os.waitstatus_to_exitcode(os.wait()[1]))
 """
-    assert ran(code).split() == ["0"]
+    assert run_code(code).split() == ["0"]
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no getrusage")
@@ -54,7 +54,7 @@ before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 controller.step_batch(q, target, out=out)
 print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024)
 """
-    assert float(ran(code)) < 10.0  # [MB]
+    assert float(run_code(code)) < 10.0  # [MB]
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems bound memory otherwise")
@@ -76,4 +76,4 @@ for call in (model.kinematics_batch, model.jacobian_batch, model.gravity_batch,
     except MemoryError as error:
         print("Unable to allocate" in str(error))
 """
-    assert ran(code).split() == ["True"] * 4
+    assert run_code(code).split() == ["True"] * 4

@@ -34,7 +34,7 @@ class Array:
         return Q.copy()
 
 
-def made():
+def make_objects():
     controller = pliant.Controller(MODEL, pliant.Settings.firm(task="xyz"))
     contact = pliant.ContactEstimator(controller)
     target = MODEL.forward_kinematics(Q)
@@ -46,11 +46,11 @@ def made():
 def uses(controller, contact, target):
     """Return all calls that could use controller or contact estimator at the same time."""
     command = controller.step(Q, target)
-    sent = (command.goal, command.torque_limit)
+    arrays = (command.goal, command.torque_limit)
     return {
-        "contact.update": lambda: contact.update(Q, sent=sent),
+        "contact.update": lambda: contact.update(Q, sent=arrays),
         "contact.update_series": lambda: contact.update_series(
-            np.tile(Q, (3, 1)), sent=(np.tile(sent[0], (3, 1)), np.tile(sent[1], (3, 1)))
+            np.tile(Q, (3, 1)), sent=tuple(np.tile(array, (3, 1)) for array in arrays)
         ),
         "contact.uncertainty_at": lambda: contact.uncertainty_at(Q),
         "contact.typical_uncertainty": contact.typical_uncertainty,
@@ -70,91 +70,91 @@ def uses(controller, contact, target):
     }
 
 
-NAMES = list(uses(*made()))
+NAMES = list(uses(*make_objects()))
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_arguments_may_use_the_controller_that_reads_them(name):
-    controller, contact, target = made()
-    use = uses(controller, contact, target)[name]
+    controller, contact, target = make_objects()
+    inner_call = uses(controller, contact, target)[name]
     calls = [
-        lambda: controller.step(Q, Accessor(use)),
-        lambda: controller.step(Array(use), target),
-        lambda: controller.step(Q, target, dq=Array(use)),
-        lambda: controller.step_joints(Q, Array(use)),
-        lambda: controller.reset(Array(use)),
-        lambda: controller.capture_gravity(Q, Array(use)),
-        lambda: contact.update(Array(use)),
-        lambda: contact.uncertainty_at(Array(use)),
+        lambda: controller.step(Q, Accessor(inner_call)),
+        lambda: controller.step(Array(inner_call), target),
+        lambda: controller.step(Q, target, dq=Array(inner_call)),
+        lambda: controller.step_joints(Q, Array(inner_call)),
+        lambda: controller.reset(Array(inner_call)),
+        lambda: controller.capture_gravity(Q, Array(inner_call)),
+        lambda: contact.update(Array(inner_call)),
+        lambda: contact.uncertainty_at(Array(inner_call)),
     ]
     for call in calls:
         call()
 
 
 def test_a_batch_state_may_be_used_while_its_arguments_are_read():
-    controller, _, target = made()
+    controller, _, target = make_objects()
     state = controller.batch_state(2)
     rows = np.array([Q, Q])
-    use = lambda: controller.step_batch(rows, target, state=state)  # noqa: E731
-    state.reset([0], Q=Array(use))
-    controller.step_batch(rows, Accessor(use), state=state)
+    call = lambda: controller.step_batch(rows, target, state=state)  # noqa: E731
+    state.reset([0], Q=Array(call))
+    controller.step_batch(rows, Accessor(call), state=state)
 
 
 def test_a_contact_in_another_thread_meets_no_panic():
-    controller, contact, _target = made()
-    over, odd, calls = threading.Event(), [], []
-    accessor = Accessor(lambda: over.wait(1e-4))
+    controller, contact, _target = make_objects()
+    is_over, unexpected, calls = threading.Event(), [], []
+    accessor = Accessor(lambda: is_over.wait(1e-4))
 
     def watch():
-        while not over.is_set():
+        while not is_over.is_set():
             try:
                 contact.update(Q)
             except BaseException as error:
-                odd.append(error)
+                unexpected.append(error)
             calls.append(1)
 
     thread = threading.Thread(target=watch)
     thread.start()
     for _ in range(300):
         controller.step(Q, accessor)
-    over.set()
+    is_over.set()
     thread.join()
     assert calls
-    assert not odd, repr(odd[0])
+    assert not unexpected, repr(unexpected[0])
 
 
 def test_objects_in_use_raise():
     """The state of a batch cannot be changed while the batch runs without interpreter lock."""
-    controller, _, target = made()
+    controller, _, target = make_objects()
     rows = np.tile(Q, (20_000, 1))
     state = controller.batch_state(len(rows))
-    over, said = threading.Event(), []
+    is_over, messages = threading.Event(), []
 
     def disturb():
-        while not over.is_set():
+        while not is_over.is_set():
             try:
                 state.reset([0])
             except RuntimeError as error:
-                said.append(str(error))
+                messages.append(str(error))
 
     thread = threading.Thread(target=disturb)
     thread.start()
     deadline = 200
-    while not said and deadline:
+    while not messages and deadline:
         deadline -= 1
         try:
             controller.step_batch(rows, target, state=state)
         except RuntimeError as error:
-            said.append(str(error))
-    over.set()
+            messages.append(str(error))
+    is_over.set()
     thread.join()
-    assert said
-    assert "this BatchState is in use by another call" in said[0]
-    assert "threading.Lock" in said[0]
+    assert messages
+    assert "this BatchState is in use by another call" in messages[0]
+    assert "threading.Lock" in messages[0]
 
 
-def test_masked_arrays_are_no_numbers():
-    controller, contact, target = made()
+def test_masked_arrays_are_refused():
+    controller, contact, target = make_objects()
     masked = np.ma.array(Q, mask=[True, False, False, False, False])
     pose = np.ma.array(target, mask=False)
     for call in (
@@ -173,8 +173,8 @@ def test_masked_arrays_are_no_numbers():
             call()
 
 
-def test_numpy_truth_values_are_no_numbers():
-    controller, contact, target = made()
+def test_numpy_booleans_are_not_accepted_as_numbers():
+    controller, contact, target = make_objects()
     for value in (True, np.bool_(True), np.array(True), np.array(False)):
         for call in (
             lambda value=value: controller.step(Q, target, dt=value),
@@ -192,18 +192,18 @@ def test_numpy_truth_values_are_no_numbers():
 
 
 def test_a_command_that_cannot_be_written_is_refused_before_the_step():
-    controller, _, target = made()
+    controller, _, target = make_objects()
     out = controller.step(Q, target)
     goal = out.goal.copy()
 
     def freeze():
         out.goal.flags.writeable = False
 
-    moved = target.copy()
-    moved[2, 3] += 0.05
+    moved_target = target.copy()
+    moved_target[2, 3] += 0.05
     limit = controller.step(Q, target).torque_limit.copy()
     with pytest.raises(TypeError, match="writable"):
-        controller.step(Array(freeze), moved, out=out)
+        controller.step(Array(freeze), moved_target, out=out)
     assert np.array_equal(out.goal, goal)
     assert np.array_equal(controller.step(Q, target).torque_limit, limit)
 
@@ -219,6 +219,6 @@ def test_a_description_is_read_once(tmp_path):
     pipe = tmp_path / "pipe.urdf"
     if hasattr(os, "mkfifo"):
         os.mkfifo(pipe)
-    for wrong in (pipe, tmp_path) if pipe.exists() else (tmp_path,):
+    for source in (pipe, tmp_path) if pipe.exists() else (tmp_path,):
         with pytest.raises(pliant.UrdfError, match="it is not a file"):
-            pliant.Model.from_urdf(wrong, tip="tool")
+            pliant.Model.from_urdf(source, tip="tool")

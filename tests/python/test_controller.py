@@ -53,10 +53,10 @@ def test_rows_are_those_of_the_task_in_order(model, q, target):
     np.testing.assert_allclose(
         controller.diagnostics.task_jacobian, model.jacobian(q)[rows], atol=1e-15
     )
-    wide = pliant.Controller(model, pliant.Settings())
-    wide.step(q, target, dt=1.0)
+    full_task = pliant.Controller(model, pliant.Settings())
+    full_task.step(q, target, dt=1.0)
     np.testing.assert_allclose(
-        controller.diagnostics.deviation, wide.diagnostics.deviation[rows], atol=1e-15
+        controller.diagnostics.deviation, full_task.diagnostics.deviation[rows], atol=1e-15
     )
     np.testing.assert_allclose(controller.diagnostics.gravity, model.gravity(q), atol=1e-14)
 
@@ -77,8 +77,8 @@ def test_parts_can_be_read(model, controller, servos):
     assert controller.axes["x"].yields == "none"
     assert controller.axes["x"].hold == 40.0
     assert "arm7" in repr(controller)
-    bare = pliant.Controller(model)
-    assert bare.settings == pliant.Settings()
+    plain_controller = pliant.Controller(model)
+    assert plain_controller.settings == pliant.Settings()
     other = pliant.Controller(model, None, pliant.Servos(kp=99.0, max_torque=5.0))
     assert other.servos.kp.tolist() == [99.0] * 7
 
@@ -110,39 +110,39 @@ def _forms(target):
 def test_targets_of_every_kind_give_the_same_bits(model, q, target):
     expected = pliant.Controller(model).step(q, target).goal
     for form in _forms(target):
-        got = pliant.Controller(model).step(q, form).goal
-        assert got.tobytes() == expected.tobytes(), type(form)
+        result = pliant.Controller(model).step(q, form).goal
+        assert result.tobytes() == expected.tobytes(), type(form)
 
 
 def test_a_position_is_enough_without_rotations(model, q, target):
     settings = pliant.Settings(task="xyz")
     expected = pliant.Controller(model, settings).step(q, target)
-    got = pliant.Controller(model, settings).step(q, target[:3, 3])
-    assert got.goal.tobytes() == expected.goal.tobytes()
+    result = pliant.Controller(model, settings).step(q, target[:3, 3])
+    assert result.goal.tobytes() == expected.goal.tobytes()
     with pytest.raises(
         pliant.ShapeError, match="a position alone says nothing of the task's rotations"
     ):
         pliant.Controller(model).step(q, target[:3, 3])
 
 
-def test_seven_numbers_are_no_pose(controller, q):
+def test_seven_numbers_are_not_accepted_as_a_pose(controller, q):
     with pytest.raises(pliant.ShapeError, match=r"Pose.from_wxyz.* or pliant.Pose.from_xyzw"):
         controller.step(q, [0.1, 0.2, 0.3, 1.0, 0.0, 0.0, 0.0])
 
 
-def test_what_is_no_pose_is_refused(controller, q, target):
-    for spoil in (
+def test_invalid_poses_are_refused(controller, q, target):
+    for damage in (
         lambda t: t[3].fill(0.0),
         lambda t: t[0].__imul__(2.0),
         lambda t: t[0].__imul__(-1.0),
     ):
-        bad = target.copy()
-        spoil(bad)
+        invalid = target.copy()
+        damage(invalid)
         with pytest.raises(pliant.ConfigError, match="target: "):
-            controller.step(q, bad)
-    for bad in (_Method(np.eye(3)), _Attribute("matrix", None)):
+            controller.step(q, invalid)
+    for invalid in (_Method(np.eye(3)), _Attribute("matrix", None)):
         with pytest.raises((pliant.ShapeError, TypeError), match=r"target\.(as_)?matrix"):
-            controller.step(q, bad)
+            controller.step(q, invalid)
 
 
 BAD_STEPS = {
@@ -161,47 +161,47 @@ BAD_STEPS = {
 }
 
 
-@pytest.mark.parametrize("started", [False, True], ids=["fresh", "running"])
-@pytest.mark.parametrize("bad", BAD_STEPS)
-def test_after_an_error_the_next_step_is_as_if_nothing_had_been(model, q, target, bad, started):
+@pytest.mark.parametrize("is_started", [False, True], ids=["fresh", "running"])
+@pytest.mark.parametrize("invalid_q", BAD_STEPS)
+def test_an_error_does_not_affect_the_next_step(model, q, target, invalid_q, is_started):
     settings = pliant.Settings.soft("y", tracking=pliant.Tracking(integrate=0.5))
-    calm, shaken = pliant.Controller(model, settings), pliant.Controller(model, settings)
-    if started:
-        for controller in (calm, shaken):
+    reference, disturbed = pliant.Controller(model, settings), pliant.Controller(model, settings)
+    if is_started:
+        for controller in (reference, disturbed):
             for i in range(5):
                 controller.step(q + 0.003 * i, target)
-    before = shaken.diagnostics.deviation
+    before = disturbed.diagnostics.deviation
     with pytest.raises((pliant.PliantError, TypeError)):
-        shaken.step(**{"q": q, "target": target} | BAD_STEPS[bad])
-    assert shaken.diagnostics.deviation.tobytes() == before.tobytes()
+        disturbed.step(**{"q": q, "target": target} | BAD_STEPS[invalid_q])
+    assert disturbed.diagnostics.deviation.tobytes() == before.tobytes()
     for i in range(5):
-        a, b = calm.step(q + 0.01 * i, target), shaken.step(q + 0.01 * i, target)
+        a, b = reference.step(q + 0.01 * i, target), disturbed.step(q + 0.01 * i, target)
         for field in ("goal", "torque_limit", "speed_limit"):
             assert getattr(a, field).tobytes() == getattr(b, field).tobytes()
 
 
 def test_a_failed_update_changes_nothing(model, q, target):
-    calm, shaken = pliant.Controller(model), pliant.Controller(model)
+    reference, updated = pliant.Controller(model), pliant.Controller(model)
     for i in range(3):
-        calm.step(q + 0.001 * i, target)
-        shaken.step(q + 0.001 * i, target)
-    kept = shaken.settings
+        reference.step(q + 0.001 * i, target)
+        updated.step(q + 0.001 * i, target)
+    settings = updated.settings
     with pytest.raises(pliant.OutOfRangeError, match=r"tracking\.gain"):
-        shaken.update(pliant.Settings(tracking=pliant.Tracking(gain=50.0)))
+        updated.update(pliant.Settings(tracking=pliant.Tracking(gain=50.0)))
     with pytest.raises(pliant.ShapeError, match=r"null_space\.posture"):
-        shaken.update(pliant.Settings(null_space=pliant.NullSpace(posture=[0.0] * 6)))
+        updated.update(pliant.Settings(null_space=pliant.NullSpace(posture=[0.0] * 6)))
     with pytest.raises(TypeError):
-        shaken.update("softer")
+        updated.update("softer")
     for call in (
-        lambda: shaken.set_payload(-1.0),
-        lambda: shaken.set_gravity([0.0, 0.0, np.nan]),
-        lambda: shaken.set_delay(2.0),
-        lambda: shaken.reset([0.0] * 6),
+        lambda: updated.set_payload(-1.0),
+        lambda: updated.set_gravity([0.0, 0.0, np.nan]),
+        lambda: updated.set_delay(2.0),
+        lambda: updated.reset([0.0] * 6),
     ):
         with pytest.raises(pliant.PliantError):
             call()
-    assert shaken.settings is kept
-    assert shaken.step(q, target).goal.tobytes() == calm.step(q, target).goal.tobytes()
+    assert updated.settings is settings
+    assert updated.step(q, target).goal.tobytes() == reference.step(q, target).goal.tobytes()
 
 
 def test_same_inputs_same_bits(model, target):
@@ -224,19 +224,19 @@ def test_same_inputs_same_bits(model, target):
 
 
 def test_reset_forgets_everything(model, q, target):
-    fresh, used = pliant.Controller(model), pliant.Controller(model)
+    new, old = pliant.Controller(model), pliant.Controller(model)
     for i in range(20):
-        used.step(q + 0.01 * i, target)
-    used.reset(q)
-    fresh.reset(q)
-    assert used.step(q, target).goal.tobytes() == fresh.step(q, target).goal.tobytes()
+        old.step(q + 0.01 * i, target)
+    old.reset(q)
+    new.reset(q)
+    assert old.step(q, target).goal.tobytes() == new.step(q, target).goal.tobytes()
 
 
 def test_step_joints_is_a_step_to_their_pose_with_them_as_posture(model, q):
-    wanted = q + 0.02
-    a = pliant.Controller(model).step_joints(q, wanted)
-    settings = pliant.Settings(null_space=pliant.NullSpace(posture=wanted))
-    b = pliant.Controller(model, settings).step(q, model.forward_kinematics(wanted))
+    expected = q + 0.02
+    a = pliant.Controller(model).step_joints(q, expected)
+    settings = pliant.Settings(null_space=pliant.NullSpace(posture=expected))
+    b = pliant.Controller(model, settings).step(q, model.forward_kinematics(expected))
     np.testing.assert_allclose(a.goal, b.goal, atol=1e-14)
     np.testing.assert_allclose(a.torque_limit, b.torque_limit, atol=1e-12)
 
@@ -251,8 +251,8 @@ def test_payload_gravity_and_delay_while_running(model, controller, q, target):
     )  # the new gravity takes effect gradually, within 0.5 s
     for _ in range(50):
         controller.step(q, target)
-    loaded = pliant.robots.arm7(payload=pliant.Payload(0.5, (0.0, 0.0, 0.1)))
-    np.testing.assert_allclose(controller.diagnostics.gravity, loaded.gravity(q), atol=1e-12)
+    loaded_model = pliant.robots.arm7(payload=pliant.Payload(0.5, (0.0, 0.0, 0.1)))
+    np.testing.assert_allclose(controller.diagnostics.gravity, loaded_model.gravity(q), atol=1e-12)
     controller.set_payload(0.0)
     controller.set_gravity([0.0, 0.0, 0.0])
     controller.step(q, target)
@@ -275,14 +275,14 @@ def test_update_takes_over_position_targets(model, q, target):
     controller.step(q, target[:3, 3])
 
 
-def test_update_surveys_what_a_fresh_controller_would(model, q, target):
+def test_update_computes_the_capacities_of_a_new_controller(model, q, target):
     """Capacities of poses are cached by axes and frame of the task, so a new task has its own."""
-    turned = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    rotation = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     tasks = (
         pliant.Task("all"),
         pliant.Task("xyz"),
         pliant.Task("x z pitch"),
-        pliant.Task("x z pitch", frame=turned),
+        pliant.Task("x z pitch", frame=rotation),
         pliant.Task("x z pitch"),
         pliant.Task("all"),
     )
@@ -290,27 +290,27 @@ def test_update_surveys_what_a_fresh_controller_would(model, q, target):
     for task in tasks:
         settings = pliant.Settings(task=task)
         running.update(settings)
-        fresh = pliant.Controller(model, settings)
-        assert running.axes == fresh.axes
+        new = pliant.Controller(model, settings)
+        assert running.axes == new.axes
         running.reset(q)
-        assert running.step(q, target).goal.tobytes() == fresh.step(q, target).goal.tobytes()
-        assert running.report().sigma_0 == fresh.report().sigma_0
+        assert running.step(q, target).goal.tobytes() == new.step(q, target).goal.tobytes()
+        assert running.report().sigma_0 == new.report().sigma_0
 
 
-def test_what_a_law_needs_is_said(q):
+def test_errors_name_the_parameters_that_a_law_needs(q):
     from pathlib import Path
 
     urdf = Path(__file__).resolve().parents[1] / "data" / "golden" / "arm7.urdf"
-    bare = pliant.Model.from_urdf(urdf, tip="tool")
+    bare_model = pliant.Model.from_urdf(urdf, tip="tool")
     with pytest.raises(
         pliant.ConfigError, match=r'law="cap" needs the stiffness k_p of joints shoulder_pitch'
     ):
-        pliant.Controller(bare)
-    assert pliant.Controller(bare, pliant.Settings.paper()).servos is None
+        pliant.Controller(bare_model)
+    assert pliant.Controller(bare_model, pliant.Settings.paper()).servos is None
     with pytest.raises(pliant.ShapeError, match=r"servos.kp has shape \(6,\), expected \(7,\)"):
-        pliant.Controller(bare, None, pliant.Servos(kp=[1.0] * 6, max_torque=1.0))
+        pliant.Controller(bare_model, None, pliant.Servos(kp=[1.0] * 6, max_torque=1.0))
     with pytest.raises(TypeError):
-        pliant.Controller(bare, {"law": "cap"})
+        pliant.Controller(bare_model, {"law": "cap"})
 
 
 def test_springs_of_law_impedance(q):
@@ -323,16 +323,16 @@ def test_springs_of_law_impedance(q):
     assert strengths["y"].stiffness == (0.0, 0.0)
     assert strengths["yaw"].stiffness == (20.0, 20.0)
     assert strengths["x"].damping == (0.0, 0.0)
-    away = target.copy()
-    away[:2, 3] += 0.01
+    displaced = target.copy()
+    displaced[:2, 3] += 0.01
     for _ in range(100):  # the tool speed limit applies to the target too
-        controller.step(q, away)
+        controller.step(q, displaced)
     assert controller.diagnostics.gain_factor == 1.0
     np.testing.assert_allclose(
         controller.diagnostics.wrench, [8.0, 0.0, 0.0, 0.0, 0.0, 0.0], atol=1e-6
     )
     controller.set_delay(0.1)  # with this delay, springs are limited to the stiffness of the servos
-    controller.step(q, away)
+    controller.step(q, displaced)
     assert 0.2 < controller.diagnostics.gain_factor < 0.6
     wrench = controller.diagnostics.wrench
     assert wrench[0] == pytest.approx(8.0 * controller.diagnostics.gain_factor, rel=1e-6)

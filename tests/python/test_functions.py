@@ -1,4 +1,4 @@
-"""`pliant.functional` against NumPy, and properties of its functions."""
+"""`pliant.functional` compared with NumPy, and properties of its functions."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ def jacobian(size, rank=None):
 def test_without_damping_it_is_numpys_pinv_at_every_rank(size, rank):
     j = jacobian(size, rank)
     expected = np.linalg.pinv(j, rcond=1e-12)
-    got = pliant.functional.damped_pseudo_inverse(j, 0.0)
-    np.testing.assert_allclose(got, expected, atol=1e-9 * max(1.0, np.abs(expected).max() ** 2))
+    result = pliant.functional.damped_pseudo_inverse(j, 0.0)
+    np.testing.assert_allclose(result, expected, atol=1e-9 * max(1.0, np.abs(expected).max() ** 2))
 
 
 @given(sizes, st.floats(1e-8, 10.0))
@@ -35,10 +35,10 @@ def test_damped_inverse_is_the_filtered_svd(size, damping):
     j = jacobian(size)
     u, sigma, vt = np.linalg.svd(j, full_matrices=False)
     expected = vt.T @ np.diag(sigma / (sigma**2 + damping**2)) @ u.T
-    got = pliant.functional.damped_pseudo_inverse(j, damping)
+    result = pliant.functional.damped_pseudo_inverse(j, damping)
     scale = max(1.0, np.abs(expected).max())
-    np.testing.assert_allclose(got, expected, atol=1e-6 * scale)
-    assert np.linalg.norm(got, 2) <= 0.5 / damping * (1.0 + 1e-6)
+    np.testing.assert_allclose(result, expected, atol=1e-6 * scale)
+    assert np.linalg.norm(result, 2) <= 0.5 / damping * (1.0 + 1e-6)
 
 
 def test_a_matrix_of_zeros_has_an_inverse_of_zeros():

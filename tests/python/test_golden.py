@@ -23,8 +23,8 @@ CASES = _cases()
 each_case = pytest.mark.parametrize("case", CASES, ids=range(len(CASES)))
 
 
-def close(got, expected, scale=1.0):
-    np.testing.assert_allclose(got, expected, rtol=0.0, atol=TOLERANCE * max(1.0, scale))
+def close(actual, expected, scale=1.0):
+    np.testing.assert_allclose(actual, expected, rtol=0.0, atol=TOLERANCE * max(1.0, scale))
 
 
 def pose(position, rotation):
@@ -56,10 +56,10 @@ def test_functions(case):
     # The reference adapts the deviation per axis, which differs for combined rotations.
     mask = case["mask"]
     adapted = np.where(mask, (1.0 - case["eta"]) * e, e)
-    shown = pliant.functional.pose_error(
+    error = pliant.functional.pose_error(
         actual, pliant.functional.adapt_target(actual, target, case["eta"], mask)
     )
-    close(shown, adapted)
+    close(error, adapted)
     close(case["Kx"] * adapted, case["dx"])
 
     # The gradient of the reference has the opposite sign; A and R depend on its size only.
@@ -88,13 +88,13 @@ def _settings(case):
     for i, name in enumerate(pliant.Task().names):
         sides = bool(case["compliant_pos"][i]), bool(case["compliant_neg"][i])
         hold = float(case["tau_stiff"][i])
-        yields = {(True, True): "both", (True, False): "-", (False, True): "+"}.get(sides, "none")
+        letter = {(True, True): "both", (True, False): "-", (False, True): "+"}.get(sides, "none")
         axes[name] = pliant.Axis(
             soft=float(case["tau_min"][i]),
             firm=min(float(case["tau_max"][i]), hold),
             hold=hold,
-            yields=yields,
-            adaptation=0.0 if yields == "none" else case["eta"],
+            yields=letter,
+            adaptation=0.0 if letter == "none" else case["eta"],
             soft_until=float(case["d_minus"][i]),
             firm_from=float(case["d_plus"][i]),
             max_velocity=float("inf"),
@@ -138,6 +138,6 @@ def test_controller(case):
 def test_some_cases_are_compared_in_full():
     model = pliant.Model.from_urdf(GOLDEN / "arm7.urdf", tip="tool")
     goals = np.array([case["q"] + 0.25 * case["dq"] for case in CASES])
-    inside = ((goals > model.lower) & (goals < model.upper)).all(axis=1)
+    is_inside = ((goals > model.lower) & (goals < model.upper)).all(axis=1)
     assert len(CASES) == 24
-    assert inside.sum() >= 8
+    assert is_inside.sum() >= 8

@@ -17,12 +17,12 @@ from pliant import _core
 STUB = Path(pliant.__file__).with_name("_core.pyi")
 
 
-def documented(node: ast.Module | ast.ClassDef, inside: str = "") -> dict[str, str]:
+def documented(node: ast.Module | ast.ClassDef, owner: str = "") -> dict[str, str]:
     """Return the docstrings of public classes, members and functions of the stub, by name.
 
     The docstrings of overloads are joined.
     """
-    found: dict[str, list[str]] = {}
+    docstrings: dict[str, list[str]] = {}
     # Functions that Windows lacks are below an `if`.
     windows = sys.platform == "win32"
     items = []
@@ -33,11 +33,11 @@ def documented(node: ast.Module | ast.ClassDef, inside: str = "") -> dict[str, s
             continue
         if item.name.startswith("_"):
             continue
-        name = inside + item.name
-        found.setdefault(name, []).extend([text] if (text := ast.get_docstring(item)) else [])
+        name = owner + item.name
+        docstrings.setdefault(name, []).extend([text] if (text := ast.get_docstring(item)) else [])
         if isinstance(item, ast.ClassDef):
-            found.update({k: [v] for k, v in documented(item, f"{item.name}.").items()})
-    return {name: "\n\n".join(texts) for name, texts in found.items()}
+            docstrings.update({k: [v] for k, v in documented(item, f"{item.name}.").items()})
+    return {name: "\n\n".join(texts) for name, texts in docstrings.items()}
 
 
 def expected(name: str) -> str:
@@ -64,8 +64,11 @@ def compiled(name: str) -> object:
 def test_help_is_the_text_of_the_stub(name):
     text = expected(name)
     assert text, "the stub says nothing"
-    kept = compiled(name)
-    assert inspect.cleandoc(getattr(kept, "__func__", kept).__doc__ or "") == text
+    compiled_object = compiled(name)
+    assert (
+        inspect.cleandoc(getattr(compiled_object, "__func__", compiled_object).__doc__ or "")
+        == text
+    )
 
 
 def test_every_public_member_is_in_the_stub():
@@ -74,8 +77,8 @@ def test_every_public_member_is_in_the_stub():
     }
     for name in sorted(public):
         if inspect.isclass(owner := getattr(_core, name)):
-            here = {m for m in vars(owner) if not m.startswith("_")}
-            public |= {f"{name}.{m}" for m in here if not issubclass(owner, Exception)}
+            members = {m for m in vars(owner) if not m.startswith("_")}
+            public |= {f"{name}.{m}" for m in members if not issubclass(owner, Exception)}
     assert public == set(DOCUMENTED)
     assert len(public) > 250
 
@@ -97,8 +100,8 @@ def test_signatures_stay_beside_the_text(name, signature):
 
 
 def test_an_object_of_another_kind_is_answered_with_how_to_get_one(model):
-    made = pliant.Controller(model)
-    for call, what in (
+    controller = pliant.Controller(model)
+    for call, description in (
         (lambda: pliant.Controller("arm7"), r"model must be a Model, as pliant\.robots\.arm7\(\)"),
         (
             lambda: pliant.feasibility.check_path("arm7", pliant.Settings(), np.eye(4)),
@@ -106,16 +109,16 @@ def test_an_object_of_another_kind_is_answered_with_how_to_get_one(model):
         ),
         (lambda: pliant.Settings.firm().raise_soft("arm7"), "model must be a Model"),
         (lambda: pliant.Controller(model, "y"), r"settings must be Settings, e\.g\. .*got 'y'"),
-        (lambda: made.update("y"), "settings must be Settings"),
+        (lambda: controller.update("y"), "settings must be Settings"),
         (lambda: pliant.Controller(model, None, "sts3215"), r"servos must be Servos, e\.g\."),
         (lambda: model.with_servos("sts3215"), r"servos must be Servos, e\.g\."),
         (lambda: pliant.ContactEstimator(model), r"controller must be a Controller.*\(Model\)"),
     ):
-        with pytest.raises(TypeError, match=what):
+        with pytest.raises(TypeError, match=description):
             call()
 
 
-def test_a_keyword_that_is_like_none_is_answered_with_all():
+def test_an_unknown_keyword_gets_the_list_of_keywords():
     with pytest.raises(pliant.ConfigError, match=r"no such field\. Fields: task, axes"):
         pliant.Settings.soft("y", qqqqq=1)
     with pytest.raises(pliant.ConfigError, match=r"no such keyword\. Keywords: base"):

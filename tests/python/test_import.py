@@ -18,8 +18,8 @@ def run(code):
 
 def test_every_name_is_there_and_documented():
     for name in pliant.__all__:
-        thing = getattr(pliant, name)
-        assert thing is not None
+        item = getattr(pliant, name)
+        assert item is not None
     assert set(pliant.__all__) <= set(dir(pliant))
     assert "robots" in dir(pliant)
     assert pliant._core.__all__
@@ -46,8 +46,8 @@ def test_import_is_light():
         "import numpy, sys; before = set(sys.modules); import pliant; "
         "print(*(set(sys.modules) - before))"
     )
-    own = {"pliant", "pliant._core"}
-    assert set(run(code)) <= own | {"__future__", "importlib.metadata"}
+    packages = {"pliant", "pliant._core"}
+    assert set(run(code)) <= packages | {"__future__", "importlib.metadata"}
 
 
 def test_a_second_interpreter_of_the_process_is_refused():

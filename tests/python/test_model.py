@@ -86,40 +86,40 @@ def test_absent_limits_are_nan_and_infinite():
     assert model.joints[0].lower is None
 
 
-def test_a_file_that_is_not_there_is_pythons_own_error(tmp_path):
+def test_a_missing_file_raises_file_not_found_error(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"no such file: '.*nowhere.urdf'"):
         pliant.Model.from_urdf(tmp_path / "nowhere.urdf")
     with pytest.raises(FileNotFoundError, match=r"this is XML text: use Model.from_urdf_str"):
         pliant.Model.from_urdf("<robot/>")
-    with pytest.raises(pliant.UrdfError, match="cannot be read") as caught:
+    with pytest.raises(pliant.UrdfError, match="cannot be read") as error:
         pliant.Model.from_urdf(tmp_path)
-    assert caught.value.source == str(tmp_path)
+    assert error.value.source == str(tmp_path)
     with pytest.raises(TypeError):
         pliant.Model.from_urdf(3)
 
 
 def test_faults_carry_their_place(tmp_path):
-    broken = tmp_path / "broken.urdf"
-    broken.write_text(
+    file = tmp_path / "broken.urdf"
+    file.write_text(
         URDF.read_text(encoding="utf-8").replace('mass value="', 'mass value="x'), encoding="utf-8"
     )
-    with pytest.raises(pliant.UrdfError) as caught:
-        pliant.Model.from_urdf(broken)
-    assert caught.value.source == str(broken)
-    assert caught.value.line > 1
-    assert f"{broken}:{caught.value.line}:{caught.value.column}: " in str(caught.value)
+    with pytest.raises(pliant.UrdfError) as error:
+        pliant.Model.from_urdf(file)
+    assert error.value.source == str(file)
+    assert error.value.line > 1
+    assert f"{file}:{error.value.line}:{error.value.column}: " in str(error.value)
 
 
 def test_a_missing_frame_lists_those_there_are():
     with pytest.raises(
         pliant.FrameNotFoundError, match=r"frame 'hand' not found.*gripper_link"
-    ) as caught:
+    ) as error:
         pliant.Model.from_urdf(URDF, tip="hand")
-    assert caught.value.frame == "hand"
-    assert "gripper_link" in caught.value.available
+    assert error.value.frame == "hand"
+    assert "gripper_link" in error.value.available
 
 
-def test_one_tree_of_exceptions():
+def test_all_exceptions_have_one_base_class():
     tree = {
         pliant.PliantError: Exception,
         pliant.UrdfError: pliant.PliantError,

@@ -34,7 +34,7 @@ def bits(command: pliant.Command) -> tuple[bytes, bytes, bytes]:
     return tuple(x.tobytes() for x in (command.goal, command.torque_limit, command.speed_limit))
 
 
-def told(controller: pliant.Controller, q: np.ndarray) -> None:
+def change_state(controller: pliant.Controller, q: np.ndarray) -> None:
     """Change all parts of a controller's state that its methods can change."""
     controller.set_payload(0.3, (0.0, 0.01, 0.05))
     controller.set_gravity((0.5, 0.0, -9.7))
@@ -46,46 +46,46 @@ def steps(controller, q, target, count=30):
     return [bits(controller.step(q + 0.002 * i, target, dt=0.011)) for i in range(count)]
 
 
-@pytest.mark.parametrize("way", COPIES)
+@pytest.mark.parametrize("method", COPIES)
 @pytest.mark.parametrize("law", LAWS)
-def test_a_copy_goes_on_to_the_bit(model, q, target, way, law):
+def test_a_copy_continues_bit_for_bit(model, q, target, method, law):
     controller = pliant.Controller(model, LAWS[law])
-    fresh = COPIES[way](controller)
-    assert steps(controller, q, target, 8) == steps(fresh, q, target, 8)
-    told(controller, q)
-    running = COPIES[way](controller)
+    restored = COPIES[method](controller)
+    assert steps(controller, q, target, 8) == steps(restored, q, target, 8)
+    change_state(controller, q)
+    running = COPIES[method](controller)
     assert running is not controller
     assert running.settings == controller.settings
     assert running.servos == controller.servos
     before = controller.diagnostics.deviation
-    here = steps(controller, q, target)
+    expected = steps(controller, q, target)
     controller.reset(q)
-    assert steps(running, q, target) == here
+    assert steps(running, q, target) == expected
     assert running.diagnostics.gain_factor == controller.diagnostics.gain_factor
     assert (before != running.diagnostics.deviation).any()
-    changed = LAWS[law].replace(tracking=pliant.Tracking(gain=2.0))
-    for one in (controller, running):
-        one.update(changed)
-        one.reset(q)
+    other_settings = LAWS[law].replace(tracking=pliant.Tracking(gain=2.0))
+    for instance in (controller, running):
+        instance.update(other_settings)
+        instance.reset(q)
     assert steps(controller, q, target) == steps(running, q, target)
 
 
-@pytest.mark.parametrize("way", COPIES)
-def test_a_copied_model_is_the_same(model, servos, q, way):
-    given = {
+@pytest.mark.parametrize("method", COPIES)
+def test_a_copied_model_is_the_same(model, servos, q, method):
+    arguments = {
         "tip": "tool",
         "payload": pliant.Payload(0.2, (0.0, 0.0, 0.03)),
         "gravity": np.array([0.0, 1.0, -9.0]),
         "limits": {model.joint_names[1]: (-1.5, 1.0)},
     }
-    own = pliant.Model.from_urdf_str(model.source[0], **given)
-    given["limits"].clear()
-    given["gravity"][:] = 0.0
-    for first in (model, own, own.with_servos(servos), pliant.robots.so101()):
-        second = COPIES[way](first)
-        at = q[: first.n]
+    rebuilt = pliant.Model.from_urdf_str(model.source[0], **arguments)
+    arguments["limits"].clear()
+    arguments["gravity"][:] = 0.0
+    for first in (model, rebuilt, rebuilt.with_servos(servos), pliant.robots.so101()):
+        second = COPIES[method](first)
+        joints = q[: first.n]
         for call in ("forward_kinematics", "jacobian", "gravity"):
-            assert getattr(first, call)(at).tobytes() == getattr(second, call)(at).tobytes()
+            assert getattr(first, call)(joints).tobytes() == getattr(second, call)(joints).tobytes()
         assert (first.frames, first.joint_names) == (second.frames, second.joint_names)
         assert (first.servos, first.tip, first.base) == (second.servos, second.tip, second.base)
         assert first.upper.tobytes() == second.upper.tobytes()
@@ -116,16 +116,16 @@ def test_a_pickle_leaves_readings_behind_and_a_copy_does_not(controller, q, targ
         == controller.diagnostics.deviation.tobytes()
     )
     assert str(copy.deepcopy(controller).report()) == str(controller.report())
-    away = pickle.loads(pickle.dumps(controller))
-    assert not away.diagnostics.deviation.any()
-    assert str(away.report(q)) == str(controller.report(q))
+    unpickled = pickle.loads(pickle.dumps(controller))
+    assert not unpickled.diagnostics.deviation.any()
+    assert str(unpickled.report(q)) == str(controller.report(q))
 
 
-def test_what_another_arm_carried_is_refused(model, q, target):
+def test_a_state_of_another_arm_is_refused(model, q, target):
     other = pliant.robots.so101()
-    for spoil, match in (
+    for damage, match in (
         (lambda c: c.step(q, target), "state"),
-        (lambda c: told(c, q), "captured"),
+        (lambda c: change_state(c, q), "captured"),
     ):
         controller = pliant.Controller(
             model,
@@ -133,7 +133,7 @@ def test_what_another_arm_carried_is_refused(model, q, target):
                 paper_options=pliant.functional.PaperOptions(posture_weights=None)
             ),
         )
-        spoil(controller)
+        damage(controller)
         make, (_, settings, _, numbers) = controller.__reduce__()
         with pytest.raises(pliant.ShapeError, match=f"{match} has shape"):
             make(other, settings, other.servos, numbers)
@@ -144,8 +144,8 @@ def test_a_process_of_its_own_gives_the_same_bits(controller, q, target):
     # Unlike a `Pool`, an executor whose process cannot unpickle its work fails instead of hanging.
     spawn = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(1, mp_context=spawn) as pool:
-        there = pool.submit(steps, controller, q, target).result(timeout=60)
-    assert there == steps(controller, q, target)
+        remote = pool.submit(steps, controller, q, target).result(timeout=60)
+    assert remote == steps(controller, q, target)
 
 
 def test_what_a_model_was_made_of_cannot_be_changed_through_its_source():

@@ -1,4 +1,4 @@
-"""Kinematics and gravity against Pinocchio, on built-in arms and real robots."""
+"""Kinematics and gravity compared with Pinocchio, on built-in arms and real robots."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ pin = pytest.importorskip("pinocchio", reason="PyPI `pin` is not installed: no i
 ROOT = Path(__file__).resolve().parents[2]
 ROBOTS = ROOT / ".." / "shared" / "robots"
 TOLERANCE = 1e-12
-DOWN = (1.0, -2.0, -9.0)  # gravity, along none of the base axes
+GRAVITY = (1.0, -2.0, -9.0)  # gravity, along none of the base axes
 
 
 class Oracle:
@@ -60,15 +60,15 @@ class Oracle:
         root_from_base, root_from_tip = self.data.oMf[self.base], self.data.oMf[self.tip]
         axes = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
         jacobian = self.collect(pin.getFrameJacobian(self.pin, self.data, self.tip, axes))
-        turn = root_from_base.rotation.T
-        jacobian = np.vstack([turn @ jacobian[:3], turn @ jacobian[3:]])
+        rotation = root_from_base.rotation.T
+        jacobian = np.vstack([rotation @ jacobian[:3], rotation @ jacobian[3:]])
         return root_from_base.actInv(root_from_tip).homogeneous, jacobian
 
     def gravity(self, q):
         full = self.configuration(q)
         pin.forwardKinematics(self.pin, self.data, full)
         pin.updateFramePlacements(self.pin, self.data)
-        self.pin.gravity.linear = self.data.oMf[self.base].rotation @ np.array(DOWN)
+        self.pin.gravity.linear = self.data.oMf[self.base].rotation @ np.array(GRAVITY)
         return self.collect(pin.computeGeneralizedGravity(self.pin, self.data, full)[None])[0]
 
 
@@ -79,14 +79,14 @@ def _samples(model, count=20):
     return [np.clip(np.zeros(model.n), low, high), *generator.uniform(low, high, (count, model.n))]
 
 
-def _agree(got, expected):
+def _agree(actual, expected):
     scale = max(1.0, float(np.abs(expected).max()))
-    np.testing.assert_allclose(got, expected, rtol=0.0, atol=TOLERANCE * scale)
+    np.testing.assert_allclose(actual, expected, rtol=0.0, atol=TOLERANCE * scale)
 
 
 def _compare(path, base=None, tip=None):
     text = path.read_text(encoding="utf-8")
-    model = pliant.Model.from_urdf(path, base=base, tip=tip, gravity=DOWN)
+    model = pliant.Model.from_urdf(path, base=base, tip=tip, gravity=GRAVITY)
     oracle = Oracle(model, text)
     for q in _samples(model):
         pose, jacobian = model.kinematics(q)
@@ -94,8 +94,8 @@ def _compare(path, base=None, tip=None):
         _agree(pose, expected_pose)
         _agree(jacobian, expected_jacobian)
         _agree(model.gravity(q), oracle.gravity(q))
-        turn = pose[:3, :3].T
-        local = np.vstack([turn @ jacobian[:3], turn @ jacobian[3:]])
+        rotation = pose[:3, :3].T
+        local = np.vstack([rotation @ jacobian[:3], rotation @ jacobian[3:]])
         _agree(model.jacobian(q, reference="local"), local)
 
 
@@ -114,7 +114,7 @@ def _references():
 
 @pytest.mark.skipif(not ROBOTS.is_dir(), reason=f"no third-party robots in {ROBOTS}")
 @pytest.mark.parametrize("path", _references(), ids=lambda p: f"{p.parent.name}-{p.stem}")
-def test_robots_that_people_own(path):
+def test_real_robots(path):
     facts = json.loads(path.read_text(encoding="utf-8"))
     _compare(path.parent / facts["urdf"], facts["base"], facts["tip"])
 
@@ -128,8 +128,8 @@ def test_inverse_kinematics_reaches_the_target_or_gives_the_reason():
         assert solution.converged
         np.testing.assert_allclose(model.forward_kinematics(solution.q), target, atol=1e-7)
     target[:3, 3] = 5.0
-    lost = model.inverse_kinematics(target, q)
-    assert not lost
-    assert "out of reach" in lost.reason
-    assert lost.position_error > 5.0
+    failure = model.inverse_kinematics(target, q)
+    assert not failure
+    assert "out of reach" in failure.reason
+    assert failure.position_error > 5.0
     assert model.inverse_kinematics([0.2, 0.1, -0.3], q, axes="xyz").converged

@@ -31,8 +31,8 @@ def values(command):
 
 def unchanged(command, before):
     return all(
-        np.array_equal(getattr(command, field), kept)
-        for field, kept in zip(FIELDS, before, strict=True)
+        np.array_equal(getattr(command, field), value)
+        for field, value in zip(FIELDS, before, strict=True)
     )
 
 
@@ -44,11 +44,11 @@ def test_a_plain_loop_makes_three_commands(controller, q, target):
 
 
 def test_kept_commands_are_all_different_and_never_change(controller, q, target):
-    kept = [controller.step(q + 1e-3 * i, target) for i in range(50)]
-    before = [values(command) for command in kept]
+    commands = [controller.step(q + 1e-3 * i, target) for i in range(50)]
+    before = [values(command) for command in commands]
     run(controller, q, target, 50)
-    assert len({id(command.goal) for command in kept}) == 50
-    assert all(unchanged(command, b) for command, b in zip(kept, before, strict=True))
+    assert len({id(command.goal) for command in commands}) == 50
+    assert all(unchanged(command, b) for command, b in zip(commands, before, strict=True))
 
 
 #: By name: function that makes a view of an array's data, and function that reads the view.
@@ -68,25 +68,25 @@ POINTER = ctypes.POINTER(ctypes.c_double * 7)
 
 @pytest.mark.parametrize("field", FIELDS)
 @pytest.mark.parametrize("view", VIEWS)
-def test_whatever_sees_an_array_protects_it(controller, q, target, field, view):
-    take, read = VIEWS[view]
+def test_every_view_of_an_array_protects_it(controller, q, target, field, view):
+    make_view, read_view = VIEWS[view]
     run(controller, q, target, 3)
-    kept = take(getattr(controller.step(q, target), field))
-    before = read(kept)
+    array_view = make_view(getattr(controller.step(q, target), field))
+    before = read_view(array_view)
     run(controller, q + 0.1, target, 9)
-    assert read(kept) == before
+    assert read_view(array_view) == before
 
 
 def test_a_weak_reference_protects_an_array_too(controller, q, target):
-    kept = weakref.ref(controller.step(q, target).goal)
-    before = kept().copy()
+    reference = weakref.ref(controller.step(q, target).goal)
+    before = reference().copy()
     run(controller, q + 0.1, target, 9)
-    assert kept() is None or np.array_equal(kept(), before)
+    assert reference() is None or np.array_equal(reference(), before)
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 @pytest.mark.parametrize(
-    "spoil",
+    "change",
     [
         lambda a: a.resize(9, refcheck=False),
         lambda a: a.resize(3, refcheck=False),
@@ -98,10 +98,10 @@ def test_a_weak_reference_protects_an_array_too(controller, q, target):
     ],
     ids=["longer", "shorter", "shape", "dtype", "strides", "flags", "bytes"],
 )
-def test_an_array_changed_in_place_is_given_up(controller, q, target, spoil):
+def test_an_array_changed_in_place_is_given_up(controller, q, target, change):
     run(controller, q, target, 3)
     for _ in range(3):
-        spoil(controller.step(q, target).goal)
+        change(controller.step(q, target).goal)
     for i in range(6):
         command = controller.step(q + 1e-3 * i, target)
         assert command.goal.shape == (7,)
@@ -116,24 +116,24 @@ def test_what_a_user_writes_into_a_command_does_not_reach_the_controller(
 ):
     other = pliant.Controller(model, controller.settings)
     for i in range(10):
-        mine = controller.step(q + 1e-3 * i, target)
-        theirs = other.step(q + 1e-3 * i, target)
-        assert np.array_equal(mine.goal, theirs.goal)
-        theirs.goal[:] = np.nan
-        theirs.torque_limit[:] = np.nan
+        command = controller.step(q + 1e-3 * i, target)
+        expected = other.step(q + 1e-3 * i, target)
+        assert np.array_equal(command.goal, expected.goal)
+        expected.goal[:] = np.nan
+        expected.torque_limit[:] = np.nan
 
 
 def test_out_overwrites_the_callers_command(controller, q, target):
-    mine = controller.step(q, target)
-    view = mine.goal
-    again = controller.step(q + 0.01, target, out=mine)
-    assert again is mine
-    assert mine.goal is view
-    assert controller.step_joints(q, 0.9 * q, out=mine) is mine
-    mine.torque_limit.flags.writeable = False
+    command = controller.step(q, target)
+    view = command.goal
+    again = controller.step(q + 0.01, target, out=command)
+    assert again is command
+    assert command.goal is view
+    assert controller.step_joints(q, 0.9 * q, out=command) is command
+    command.torque_limit.flags.writeable = False
     before = controller.diagnostics.q_predicted
     with pytest.raises(TypeError, match="out must be a command whose arrays are writable"):
-        controller.step(q + 0.5, target, out=mine)
+        controller.step(q + 0.5, target, out=command)
     assert np.array_equal(controller.diagnostics.q_predicted, before)
     with pytest.raises(TypeError):
         controller.step(q, target, out=view)
@@ -151,30 +151,30 @@ def test_commands_cannot_be_changed(controller, q, target):
 
 
 def test_one_controller_per_thread_gives_what_it_gives_alone(model, q, target):
-    def drive(offset, into):
+    def drive(offset, results):
         controller = pliant.Controller(model, pliant.Settings.soft("y"))
-        into.extend(controller.step(q + offset + 1e-4 * i, target) for i in range(300))
+        results.extend(controller.step(q + offset + 1e-4 * i, target) for i in range(300))
 
-    alone, together = [[], [], [], []], [[], [], [], []]
-    for i, into in enumerate(alone):
-        drive(0.01 * i, into)
-    threads = [threading.Thread(target=drive, args=(0.01 * i, t)) for i, t in enumerate(together)]
+    sequential, concurrent = [[], [], [], []], [[], [], [], []]
+    for i, results in enumerate(sequential):
+        drive(0.01 * i, results)
+    threads = [threading.Thread(target=drive, args=(0.01 * i, t)) for i, t in enumerate(concurrent)]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join()
-    for a, b in zip(alone, together, strict=True):
+    for a, b in zip(sequential, concurrent, strict=True):
         for x, y in zip(a, b, strict=True):
             assert np.array_equal(x.goal, y.goal)
             assert np.array_equal(x.torque_limit, y.torque_limit)
 
 
 def test_what_another_thread_holds_never_changes(controller, q, target):
-    queue, wrong = SimpleQueue(), []
+    queue, violations = SimpleQueue(), []
 
     def watch():
         while (item := queue.get()) is not None:
-            wrong.extend(
+            violations.extend(
                 before
                 for _ in range(20)
                 for view, before in zip(*item, strict=True)
@@ -190,7 +190,7 @@ def test_what_another_thread_holds_never_changes(controller, q, target):
         )
     queue.put(None)
     thread.join()
-    assert not wrong
+    assert not violations
 
 
 def test_a_step_while_arguments_are_read_comes_before(controller, q, target):
@@ -201,10 +201,10 @@ def test_a_step_while_arguments_are_read_comes_before(controller, q, target):
 
     twin = copy.copy(controller)
     twin.step(q, target)
-    want = twin.step(q, target)
-    got = controller.step(q, Nosy())
-    assert np.array_equal(got.goal, want.goal)
-    assert np.array_equal(got.torque_limit, want.torque_limit)
+    expected = twin.step(q, target)
+    result = controller.step(q, Nosy())
+    assert np.array_equal(result.goal, expected.goal)
+    assert np.array_equal(result.torque_limit, expected.torque_limit)
 
 
 def test_nothing_leaks(controller, q, target):

@@ -11,7 +11,7 @@ import pliant
 from pliant import Pose
 
 angle = st.floats(-3.0, 3.0)
-three = st.tuples(angle, angle, angle)
+angles = st.tuples(angle, angle, angle)
 
 
 def turn(axis, by):
@@ -23,7 +23,7 @@ def turn(axis, by):
     return out
 
 
-@given(three, three)
+@given(angles, angles)
 def test_rpy_turns_about_fixed_axes(position, rpy):
     pose = Pose.from_rpy(position, rpy)
     expected = turn(2, rpy[2]) @ turn(1, rpy[1]) @ turn(0, rpy[0])
@@ -31,7 +31,7 @@ def test_rpy_turns_about_fixed_axes(position, rpy):
     np.testing.assert_array_equal(pose.position, position)
 
 
-@given(three, three)
+@given(angles, angles)
 def test_every_form_gives_the_pose_back(position, rpy):
     pose = Pose.from_rpy(position, rpy)
     for back in (
@@ -49,7 +49,7 @@ def test_every_form_gives_the_pose_back(position, rpy):
     assert np.linalg.norm(pose.rotvec) <= np.pi + 1e-12
 
 
-@given(three, three)
+@given(angles, angles)
 def test_composition_is_that_of_matrices(a, b):
     first, second = Pose.from_rpy(a, b), Pose.from_rotvec(b, a)
     np.testing.assert_allclose((first @ second).matrix, first.matrix @ second.matrix, atol=1e-13)
@@ -74,8 +74,8 @@ def test_pose_error_of_known_turns():
     np.testing.assert_allclose(
         pliant.functional.pose_error(actual, target), [-1, -2, -3, 0, 0, -3], atol=1e-14
     )
-    far = Pose.from_rotvec([0.0, 0.0, 0.0], [0.0, 0.0, -3.0])
-    shortest = pliant.functional.pose_error(actual, far)[5]
+    opposite = Pose.from_rotvec([0.0, 0.0, 0.0], [0.0, 0.0, -3.0])
+    shortest = pliant.functional.pose_error(actual, opposite)[5]
     assert shortest == pytest.approx(2.0 * np.pi - 6.0)
 
 

@@ -52,12 +52,12 @@ def test_every_preset_fits_every_arm(name, robot):
 
 
 def test_forces_are_the_arm_s_own_or_those_given(arm):
-    own = Controller(arm, Settings.plug()).axes["z"]
-    assert own.soft == (4.0, 4.0)
-    assert own.firm == (15.0, 15.0)
-    given = Controller(arm, Settings.plug(push=10.0)).axes["z"]
-    assert given.soft == (10.0, 10.0)
-    assert given.profile == "constant"
+    default = Controller(arm, Settings.plug()).axes["z"]
+    assert default.soft == (4.0, 4.0)
+    assert default.firm == (15.0, 15.0)
+    custom = Controller(arm, Settings.plug(push=10.0)).axes["z"]
+    assert custom.soft == (10.0, 10.0)
+    assert custom.profile == "constant"
     assert Controller(arm, Settings.wipe()).axes["z"].soft == (4.0, 4.0)
     assert Settings.wipe(press=5.0, axis="x").axes["x"].soft == (5.0, 5.0)
     assert Settings.drawer(axis="y", pull=7.0).axes["y"].soft == (7.0, 7.0)
@@ -103,7 +103,7 @@ def test_axes_that_a_preset_needs_must_belong_to_the_task():
         ),
     ],
 )
-def test_what_makes_no_sense_is_refused_by_name(make, message):
+def test_invalid_arguments_are_refused_by_name(make, message):
     with pytest.raises(pliant.PliantError, match=message):
         make()
 
@@ -112,9 +112,9 @@ def pushed_away(arm, controller, metres, ticks=60):
     """Return goals while the tool is moved along y, away from its target, at a constant speed."""
     target, q, goals = arm.forward_kinematics(Q), Q, []
     for tick in range(ticks):
-        here = target.copy()
-        here[1, 3] += metres * (tick + 1) / ticks
-        q = arm.inverse_kinematics(here, q).q
+        moved_target = target.copy()
+        moved_target[1, 3] += metres * (tick + 1) / ticks
+        q = arm.inverse_kinematics(moved_target, q).q
         goals.append(controller.step(q, target).goal.copy())
     return np.array(goals), q, target
 
@@ -171,19 +171,19 @@ def test_a_followed_target_is_led_back_at_the_tool_s_speed(arm):
     settings = Settings(axes={"y": Axis(deviation_limit=0.02)}, max_tool_speed=(0.1, 1.0))
     controller = Controller(arm, settings)
     _, _, target = pushed_away(arm, controller, 0.06)
-    places = []
+    positions = []
     for _ in range(200):
         controller.step(Q, target)
-        places.append(controller.diagnostics.reference[1, 3])
-    speed = np.abs(np.diff(places)).max() * controller.settings.rate
+        positions.append(controller.diagnostics.reference[1, 3])
+    speed = np.abs(np.diff(positions)).max() * controller.settings.rate
     assert speed <= 0.1 + 1e-9
-    assert places[-1] == pytest.approx(target[1, 3], abs=1e-12)
+    assert positions[-1] == pytest.approx(target[1, 3], abs=1e-12)
     assert not controller.diagnostics.deviation_limited.any()
 
 
 def test_a_side_that_yields_has_no_limit(arm):
     settings = Settings(axes={"y": Axis(soft=4.0, yields="+", deviation_limit=0.02)})
-    for metres, limited in ((0.06, False), (-0.06, True)):
+    for metres, has_limit in ((0.06, False), (-0.06, True)):
         controller = Controller(arm, settings)
         pushed_away(arm, controller, metres)
-        assert bool(controller.diagnostics.deviation_limited[1]) is limited
+        assert bool(controller.diagnostics.deviation_limited[1]) is has_limit

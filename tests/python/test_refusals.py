@@ -8,110 +8,113 @@ import pytest
 import pliant
 
 
-def refused(call, *args, **kwargs) -> str:
-    with pytest.raises((pliant.PliantError, TypeError, OSError)) as caught:
+def error_text(call, *args, **kwargs) -> str:
+    with pytest.raises((pliant.PliantError, TypeError, OSError)) as error:
         call(*args, **kwargs)
-    return str(caught.value)
+    return str(error.value)
 
 
 @pytest.mark.parametrize("dt", [1.01, 10.0])
-def test_a_time_in_milliseconds_is_no_time(controller, model, q, target, dt):
-    said = rf"dt [s] = {dt:g} is outside (0, 1]; is it in milliseconds?"
-    assert refused(controller.step, q, target, dt=dt) == said
-    assert refused(controller.step_joints, q, q, dt=dt) == said
-    assert refused(controller.step_batch, q[None], target, dt=dt) == said
-    assert refused(pliant.ContactEstimator(controller).update, q, dt=dt) == said
-    for taken in (controller, pliant.Controller(model, pliant.Settings(rate=1.0))):
-        taken.step(q, target, dt=None if taken is not controller else 1.0)
-    assert refused(controller.step, q, target, dt=0.0) == "dt [s] = 0 is outside (0, 1]"
-    assert refused(controller.step, q, target, dt=np.nan) == "dt [s] = NaN is outside (0, 1]"
+def test_a_time_in_milliseconds_is_refused(controller, model, q, target, dt):
+    message = rf"dt [s] = {dt:g} is outside (0, 1]; is it in milliseconds?"
+    assert error_text(controller.step, q, target, dt=dt) == message
+    assert error_text(controller.step_joints, q, q, dt=dt) == message
+    assert error_text(controller.step_batch, q[None], target, dt=dt) == message
+    assert error_text(pliant.ContactEstimator(controller).update, q, dt=dt) == message
+    for instance in (controller, pliant.Controller(model, pliant.Settings(rate=1.0))):
+        instance.step(q, target, dt=None if instance is not controller else 1.0)
+    assert error_text(controller.step, q, target, dt=0.0) == "dt [s] = 0 is outside (0, 1]"
+    assert error_text(controller.step, q, target, dt=np.nan) == "dt [s] = NaN is outside (0, 1]"
 
 
 @pytest.mark.parametrize("axis", range(3))
-def test_a_place_in_millimetres_is_no_place(model, q, target, axis):
+def test_a_position_in_millimetres_is_refused(model, q, target, axis):
     controller = pliant.Controller(model, pliant.Settings(task="xyz"))
-    lone = target[:3, 3].copy()
-    lone[axis] = target[axis, 3] = -250.0
-    said = refused(model.check_target, lone).removeprefix("target")
-    assert said.startswith(": distance of position [")
-    assert "outside [0, 1.520]: the arm reaches 0.710 m; is it in millimetres?" in said
-    assert refused(controller.step, q, target) == f"target{said}"
-    assert refused(controller.step, q, lone) == f"target{said}"
-    assert refused(controller.step_batch, q[None], target) == f"targets{said}"
-    assert refused(controller.step_batch, q[None], lone[None]).endswith(said)
-    far = f"position {'xyz'[axis]} [m] = -250 is outside ±100; is it in millimetres?"
-    assert refused(model.inverse_kinematics, target, q).endswith(far)
-    lone[axis] = 1.2
-    goals = controller.step_batch(np.stack([q, q]), lone).goal
+    position = target[:3, 3].copy()
+    position[axis] = target[axis, 3] = -250.0
+    message = error_text(model.check_target, position).removeprefix("target")
+    assert message.startswith(": distance of position [")
+    assert "outside [0, 1.520]: the arm reaches 0.710 m; is it in millimetres?" in message
+    assert error_text(controller.step, q, target) == f"target{message}"
+    assert error_text(controller.step, q, position) == f"target{message}"
+    assert error_text(controller.step_batch, q[None], target) == f"targets{message}"
+    assert error_text(controller.step_batch, q[None], position[None]).endswith(message)
+    expected = f"position {'xyz'[axis]} [m] = -250 is outside ±100; is it in millimetres?"
+    assert error_text(model.inverse_kinematics, target, q).endswith(expected)
+    position[axis] = 1.2
+    goals = controller.step_batch(np.stack([q, q]), position).goal
     assert np.isfinite(goals).all()
-    assert np.isfinite(controller.step(q, lone).goal).all()
+    assert np.isfinite(controller.step(q, position).goal).all()
 
 
-def test_a_pose_with_a_wrong_last_row_is_no_posture(model, target):
+def test_a_pose_with_a_wrong_last_row_is_refused(model, target):
     controller = pliant.Controller(model)
     target[3, 0] = 1.0
-    said = "last row of a 4×4 pose must be 0 0 0 1, got 1 0 0 1"
-    assert refused(controller.check, target) == f"path_or_pose: {said}"
+    message = "last row of a 4×4 pose must be 0 0 0 1, got 1 0 0 1"
+    assert error_text(controller.check, target) == f"path_or_pose: {message}"
 
 
-def test_what_is_not_a_number_is_said_plainly(model, q, target):
-    lost = np.where(np.arange(7) == 2, np.nan, q)
+def test_nan_is_named_in_the_error(model, q, target):
+    invalid_q = np.where(np.arange(7) == 2, np.nan, q)
     name = model.joint_names[2]
-    assert refused(model.forward_kinematics, lost) == f"q[2] ({name}) = NaN is outside ±1e6"
+    assert error_text(model.forward_kinematics, invalid_q) == f"q[2] ({name}) = NaN is outside ±1e6"
     controller = pliant.Controller(model)
-    assert refused(controller.step, lost, target) == f"q[2] ({name}) = NaN is outside ±1e6"
+    assert error_text(controller.step, invalid_q, target) == f"q[2] ({name}) = NaN is outside ±1e6"
     target[0, 3] = np.inf
-    said = refused(controller.step, q, target)
-    assert said == "target: position x [m] = inf is outside ±100"
+    message = error_text(controller.step, q, target)
+    assert message == "target: position x [m] = inf is outside ±100"
 
 
 def calls(model, q):
     """Return calls with one argument of a wrong type, and the expected error texts."""
-    lone = pliant.Controller(model, pliant.Settings(task="xyz"))
-    at = model.forward_kinematics(q)[:3, 3]
-    contact = pliant.ContactEstimator(lone)
+    instance = pliant.Controller(model, pliant.Settings(task="xyz"))
+    position = model.forward_kinematics(q)[:3, 3]
+    contact = pliant.ContactEstimator(instance)
     text = model.source[0]
     servos = pliant.Servos.of
     return {
         "mass": (
-            lambda: lone.set_payload("0.3"),
+            lambda: instance.set_payload("0.3"),
             "a number [kg]; 0 for no payload, got '0.3' (str)",
         ),
-        "mass ": (lambda: lone.set_payload(None), "a number [kg]; 0 for no payload, got None"),
-        "delay": (lambda: lone.set_delay("a"), "a number [s], got 'a' (str)"),
-        "delay ": (lambda: lone.set_delay(True), "a number [s], got True (bool)"),
+        "mass ": (lambda: instance.set_payload(None), "a number [kg]; 0 for no payload, got None"),
+        "delay": (lambda: instance.set_delay("a"), "a number [s], got 'a' (str)"),
+        "delay ": (lambda: instance.set_delay(True), "a number [s], got True (bool)"),
         "press": (lambda: pliant.Settings.wipe(press="5"), "a number [N], got '5' (str)"),
         "pull": (lambda: pliant.Settings.drawer(pull="5"), "a number [N], got '5' (str)"),
         "push": (lambda: pliant.Settings.plug(push="5"), "a number [N], got '5' (str)"),
         "axis": (lambda: pliant.Settings.wipe(axis=3), "the name of an axis, such as 'x', got 3"),
         "kp_error": (
-            lambda: pliant.ContactEstimator(lone, kp_error="2%"),
+            lambda: pliant.ContactEstimator(instance, kp_error="2%"),
             "a number; a share of 2 % is 0.02",
         ),
         "filter": (
-            lambda: pliant.ContactEstimator(lone, filter="fast"),
+            lambda: pliant.ContactEstimator(instance, filter="fast"),
             "a number [s], got 'fast' (str)",
         ),
         "max_wrench": (
-            lambda: pliant.ContactEstimator(lone, max_wrench=3),
+            lambda: pliant.ContactEstimator(instance, max_wrench=3),
             "a pair (force [N], torque [N·m]), got 3",
         ),
         "axes": (
-            lambda: pliant.ContactEstimator(lone, axes=3),
+            lambda: pliant.ContactEstimator(instance, axes=3),
             "an axis key such as 'xyz rpy', got 3",
         ),
         "accept_thresholds": (
-            lambda: pliant.ContactEstimator(lone, accept_thresholds=3),
+            lambda: pliant.ContactEstimator(instance, accept_thresholds=3),
             "True or False, got 3",
         ),
         "dt": (lambda: contact.update(q, dt="a"), "a number [s], got 'a' (str)"),
         "sent": (lambda: contact.update(q, sent=3), "a pair (goal, torque_limit), got 3"),
-        "count": (lambda: lone.batch_state(-1), "a whole number, 0 or more, got -1 (int)"),
+        "count": (lambda: instance.batch_state(-1), "a whole number, 0 or more, got -1 (int)"),
         "state": (
-            lambda: lone.step_batch(q[None], at, state=3),
+            lambda: instance.step_batch(q[None], position, state=3),
             "a BatchState, as batch_state(N) ",
         ),
-        "out": (lambda: lone.step(q, at, out=np.zeros(7)), "a Command, as a step returns it, got "),
+        "out": (
+            lambda: instance.step(q, position, out=np.zeros(7)),
+            "a Command, as a step returns it, got ",
+        ),
         "source": (lambda: pliant.Model.from_urdf(None), "the path of a URDF file (str or path"),
         "text": (lambda: pliant.Model.from_urdf_str(None), "URDF text; for a file there is Model"),
         "damping": (
@@ -143,24 +146,24 @@ def calls(model, q):
     }
 
 
-def test_an_argument_of_another_kind_is_named_with_what_would_do(model, q):
+def test_an_argument_of_a_wrong_type_is_named_with_valid_types(model, q):
     for name, (call, expected) in calls(model, q).items():
-        said = refused(call)
-        assert said.startswith(name.strip()), said
-        assert f"must be {expected}" in said, said
+        message = error_text(call)
+        assert message.startswith(name.strip()), message
+        assert f"must be {expected}" in message, message
 
 
-def test_an_axis_is_named_by_what_it_is(model):
-    assert refused(pliant.Axis, soft=5, firm=1) == "Axis.soft = 5 is outside [0, firm = 1]"
+def test_errors_name_the_axis(model):
+    assert error_text(pliant.Axis, soft=5, firm=1) == "Axis.soft = 5 is outside [0, firm = 1]"
     settings = pliant.Settings(
         axes={"y": pliant.Axis(yields="both", stiffness=1e5)}, law="impedance"
     )
-    said = refused(pliant.Controller, model, settings)
-    assert "axes.stiffness: y=100000 N/m is" in said
-    assert " times what the median pose can have" in said
+    message = error_text(pliant.Controller, model, settings)
+    assert "axes.stiffness: y=100000 N/m is" in message
+    assert " times what the median pose can have" in message
 
 
 def test_the_variant_of_a_servo_that_fits_the_supply_is_named():
-    said = refused(pliant.Servos.of, ["STS3215-7.4V"], voltage=12.0)
-    assert "STS3215-7.4V takes 4 to 8.4 V, got 12 V; for 12 V there is STS3215-12V;" in said
-    assert "there is" not in refused(pliant.Servos.of, ["STS3215-7.4V"], voltage=100.0)
+    message = error_text(pliant.Servos.of, ["STS3215-7.4V"], voltage=12.0)
+    assert "STS3215-7.4V takes 4 to 8.4 V, got 12 V; for 12 V there is STS3215-12V;" in message
+    assert "there is" not in error_text(pliant.Servos.of, ["STS3215-7.4V"], voltage=100.0)

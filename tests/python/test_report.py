@@ -39,67 +39,69 @@ def largest_host_loss_force(report):
     return max(max(report.axes[axis].host_loss_force) for axis in "xyz")
 
 
-@pytest.mark.parametrize("displaced", [0.0, 0.03])
-def test_dead_host_max_bounds_what_is_left_of_a_dead_host(model, q, displaced):
+@pytest.mark.parametrize("offset", [0.0, 0.03])
+def test_max_host_loss_force_bounds_the_force_after_a_host_loss(model, q, offset):
     target = model.forward_kinematics(q)
-    target[0, 3] += displaced
-    plain = pliant.Controller(model, pliant.Settings.soft("y"))
-    plain.step(q, target)
-    free = plain.report()
-    most = largest_host_loss_force(free) - 4.0  # [N]
+    target[0, 3] += offset
+    unbounded = pliant.Controller(model, pliant.Settings.soft("y"))
+    unbounded.step(q, target)
+    free = unbounded.report()
+    largest = largest_host_loss_force(free) - 4.0  # [N]
     controller = pliant.Controller(
         model,
-        pliant.Settings.soft("y", torque_limits=pliant.TorqueLimits(max_host_loss_force=most)),
+        pliant.Settings.soft("y", torque_limits=pliant.TorqueLimits(max_host_loss_force=largest)),
     )
     command = controller.step(q, target)
     report = controller.report()
-    assert most - 0.5 < largest_host_loss_force(report) <= most
-    assert report.max_host_loss_force == most
+    assert largest - 0.5 < largest_host_loss_force(report) <= largest
+    assert report.max_host_loss_force == largest
     assert np.all(command.torque_limit <= free.torque_limit)
     assert np.all(command.torque_limit >= 1.1 * np.abs(model.gravity(q)) - 1e-12)
-    assert not [said for said in report.summary() if "max_host_loss_force" in said]
+    assert not [sentence for sentence in report.summary() if "max_host_loss_force" in sentence]
 
 
-def test_more_than_the_weight_leaves_cannot_be_kept(model, q):
+def test_a_bound_below_the_share_of_the_weight_is_reported(model, q):
     settings = pliant.Settings.soft(
         "y", torque_limits=pliant.TorqueLimits(max_host_loss_force=10.0)
     )
     report = pliant.Controller(model, settings).report(q)
     assert report.axes["z"].host_loss_force[0] > 10.0
-    (said,) = [said for said in report.summary() if "max_host_loss_force" in said]
-    assert "−z" in said
+    (sentence,) = [sentence for sentence in report.summary() if "max_host_loss_force" in sentence]
+    assert "−z" in sentence
     check = pliant.feasibility.check_path(model, settings, q)
     assert not check
-    (found,) = [one for one in check.issues if one.setting == "torque_limits.max_host_loss_force"]
-    assert (found.about, found.required) == ("−z", True)
-    assert found.value >= report.axes["z"].host_loss_force[0]
+    (issue,) = [
+        item for item in check.issues if item.setting == "torque_limits.max_host_loss_force"
+    ]
+    assert (issue.about, issue.required) == ("−z", True)
+    assert issue.value >= report.axes["z"].host_loss_force[0]
     assert pliant.feasibility.check_path(
         model,
-        settings.replace(torque_limits=pliant.TorqueLimits(max_host_loss_force=found.value)),
+        settings.replace(torque_limits=pliant.TorqueLimits(max_host_loss_force=issue.value)),
         q,
     )
-    for wrong in (0.0, -1.0, np.nan):
+    for value in (0.0, -1.0, np.nan):
         with pytest.raises(pliant.OutOfRangeError, match="max_host_loss_force"):
-            pliant.Settings(torque_limits=pliant.TorqueLimits(max_host_loss_force=wrong))
+            pliant.Settings(torque_limits=pliant.TorqueLimits(max_host_loss_force=value))
 
 
-def test_what_delay_takes_off_springs_and_dampers_can_be_read(model, q):
+def test_the_reduction_of_springs_and_dampers_by_delay_is_reported(model, q):
     springs = {"xyz": pliant.Axis(stiffness=800.0, damping=90.0)}
     controller = pliant.Controller(model, pliant.Settings(law="impedance", axes=springs))
     report = controller.report(q)
     assert report.damping_factor == controller.report(q).damping_factor <= 1.0
     controller.set_delay(0.1)
-    late = controller.report(q)
-    assert late.damping_factor < report.damping_factor
-    assert late.gain_factor < report.gain_factor
-    (said,) = [said for said in late.summary() if "damping" in said]
-    assert f"{late.damping_factor:.2f}"[:4] in said
+    delayed_report = controller.report(q)
+    assert delayed_report.damping_factor < report.damping_factor
+    assert delayed_report.gain_factor < report.gain_factor
+    (sentence,) = [sentence for sentence in delayed_report.summary() if "damping" in sentence]
+    assert f"{delayed_report.damping_factor:.2f}"[:4] in sentence
 
 
 def test_a_hold_raised_to_leave_room_is_reported(model, q):
     settings = pliant.Settings(axes={"y": pliant.Axis(soft=90.0)})
-    (said,) = [s for s in pliant.Controller(model, settings).report(q).summary() if "room" in s]
-    assert said == "y: hold is 90.0 N instead of 40.0, to leave room for soft and firm."
+    (sentence,) = [s for s in pliant.Controller(model, settings).report(q).summary() if "room" in s]
+    assert sentence == "y: hold is 90.0 N instead of 40.0, to leave room for soft and firm."
 
 
 def test_formula_of_the_static_force(controller, model, q):
@@ -121,13 +123,13 @@ def test_report_of_the_last_step_needs_one(controller, q, target):
 
 def test_sentences_of_the_report(controller, q):
     report = controller.report(q)
-    said = report.summary()
+    sentences = report.summary()
     assert any(
-        line.startswith("±y gives way at") and "cannot be softer than" in line for line in said
+        line.startswith("±y gives way at") and "cannot be softer than" in line for line in sentences
     )
-    assert any(line.startswith("After a host loss now") for line in said)
-    assert all(line.endswith(".") for line in said)
-    assert all(line in str(report) for line in said)
+    assert any(line.startswith("After a host loss now") for line in sentences)
+    assert all(line.endswith(".") for line in sentences)
+    assert all(line in str(report) for line in sentences)
     assert "Report" in repr(report)
 
 
@@ -138,7 +140,7 @@ def along_y(model, q):
     return (springs @ np.linalg.inv(jacobian @ springs))[:, 1]
 
 
-def near_a_stop(model, q, room):
+def arm_near_limit(model, q, room):
     """Return the arm with a joint at the distance `room` [rad] from its upper limit.
 
     It is the joint that a motion along +y turns most.
@@ -151,35 +153,35 @@ def near_a_stop(model, q, room):
 
 def test_a_position_limit_is_announced_where_it_is_met(model, q):
     settings = pliant.Settings(axes={"y": pliant.Axis(soft=4.0, firm=15.0)})
-    near, joint = near_a_stop(model, q, 0.035)
-    report = pliant.Controller(near, settings).report(q)
+    limited_model, joint = arm_near_limit(model, q, 0.035)
+    report = pliant.Controller(limited_model, settings).report(q)
     towards_minus, stop = report.axes["y"].stop
     assert towards_minus is None
-    assert stop.joint == near.joint_names[joint]
-    way = stop.distance
-    assert 0.0 < way < 0.15
+    assert stop.joint == limited_model.joint_names[joint]
+    distance = stop.distance
+    assert 0.0 < distance < 0.15
     assert stop.margin == pytest.approx(0.035)
     # Move by the reported distance in small steps: the joint must end at its limit.
-    at, steps = q.copy(), 1000
+    position, steps = q.copy(), 1000
     for _ in range(steps):
-        at += way / steps * along_y(near, at)
-    assert at[joint] == pytest.approx(q[joint] + 0.035, abs=1e-3)
+        position += distance / steps * along_y(limited_model, position)
+    assert position[joint] == pytest.approx(q[joint] + 0.035, abs=1e-3)
     # At the limit, the other joints continue the motion against their friction.
-    left = np.linalg.pinv(np.delete(near.jacobian(at), joint, axis=1))[:, 1]
-    rubs = np.abs(left) @ np.delete(model.servos.friction, joint)
+    others = np.linalg.pinv(np.delete(limited_model.jacobian(position), joint, axis=1))[:, 1]
+    rubs = np.abs(others) @ np.delete(model.servos.friction, joint)
     assert stop.friction == pytest.approx(rubs, rel=0.05)
-    start = f"+y: {near.joint_names[joint]} is 2.0° from its limit: pushed farther than "
-    (said,) = [line for line in report.summary() if line.startswith(start)]
-    assert said.startswith(f"{start}{1e3 * way:.0f} mm, the stop takes")
+    start = f"+y: {limited_model.joint_names[joint]} is 2.0° from its limit: pushed farther than "
+    (sentence,) = [line for line in report.summary() if line.startswith(start)]
+    assert sentence.startswith(f"{start}{1e3 * distance:.0f} mm, the stop takes")
 
 
 def test_an_axis_without_a_stop_in_its_way_announces_none(model, q):
     settings = pliant.Settings(axes={"y": pliant.Axis(soft=4.0, firm=15.0)})
-    wide = {name: (-50.0, 50.0) for name in model.joint_names}
-    report = pliant.Controller(robots.arm7(limits=wide), settings).report(q)
+    limits = {name: (-50.0, 50.0) for name in model.joint_names}
+    report = pliant.Controller(robots.arm7(limits=limits), settings).report(q)
     assert all(axis.stop == (None, None) for axis in report.axes.values())
     assert not any("limit:" in line for line in report.summary())
-    report = pliant.Controller(near_a_stop(model, q, 0.0)[0], settings).report(q)
+    report = pliant.Controller(arm_near_limit(model, q, 0.0)[0], settings).report(q)
     towards_minus, stop = report.axes["y"].stop
     assert towards_minus is None
     assert stop.distance == 0.0
@@ -188,31 +190,31 @@ def test_an_axis_without_a_stop_in_its_way_announces_none(model, q):
 
 def test_check_notes_a_stop_that_comes_before_the_whole_cap(model, q):
     settings = pliant.Settings(axes={"y": pliant.Axis(soft=4.0, firm=15.0)})
-    near, joint = near_a_stop(model, q, 0.035)
-    check = pliant.feasibility.check_path(near, settings, np.array([q, q - 0.01]))
+    limited_model, joint = arm_near_limit(model, q, 0.035)
+    check = pliant.feasibility.check_path(limited_model, settings, np.array([q, q - 0.01]))
     assert check.achievable, "a note, not a demand"
     (note,) = [f for f in check.issues if "position limit when" in f.reason]
     assert note.pose == 0
     assert note.about == "+y"
-    assert near.joint_names[joint] in note.reason
-    stops = pliant.Controller(near, settings).report(q).axes["y"].stop
+    assert limited_model.joint_names[joint] in note.reason
+    stops = pliant.Controller(limited_model, settings).report(q).axes["y"].stop
     distance = [np.inf if stop is None else stop.distance for stop in stops]
     np.testing.assert_array_equal(check.stop_distance[1], distance)
     assert np.isinf(check.stop_distance[0]).all(), "x does not yield"
 
 
 def test_deviation_limits_are_reported(model, q):
-    held = pliant.Axis(deviation_limit=0.02, on_deviation_limit="wait")
+    limited_axis = pliant.Axis(deviation_limit=0.02, on_deviation_limit="wait")
     follows = pliant.Axis(deviation_limit=0.1)
-    settings = pliant.Settings(axes={"x": held, "yaw": follows, "y": pliant.Axis(soft=4.0)})
+    settings = pliant.Settings(axes={"x": limited_axis, "yaw": follows, "y": pliant.Axis(soft=4.0)})
     report = pliant.Controller(model, settings).report(q)
     limits = [report.axes[axis].deviation_limit[0] for axis in ("x", "y", "yaw")]
     np.testing.assert_array_equal(limits, (0.02, np.inf, 0.1))
     assert report.axes["x"].on_deviation_limit == "wait"
-    said = report.summary()
-    assert "±x: pushed farther than 20 mm off its target, the whole target waits." in said
-    assert "±yaw: pushed farther than 0.10 rad off its target, its target comes along." in said
-    assert sum("off its target" in line for line in said) == 2
+    sentences = report.summary()
+    assert "±x: pushed farther than 20 mm off its target, the whole target waits." in sentences
+    assert "±yaw: pushed farther than 0.10 rad off its target, its target comes along." in sentences
+    assert sum("off its target" in line for line in sentences) == 2
 
 
 def test_check_takes_a_posture_a_path_and_a_pose(controller, model, q):
@@ -233,69 +235,71 @@ def test_check_takes_a_posture_a_path_and_a_pose(controller, model, q):
 
 
 def test_check_names_the_setting_and_a_value_that_works(model, q):
-    asked = pliant.Settings(axes={"y": pliant.Axis(soft=4.0, firm=80.0)})
-    check = pliant.feasibility.check_path(model, asked, q)
+    wanted = pliant.Settings(axes={"y": pliant.Axis(soft=4.0, firm=80.0)})
+    check = pliant.feasibility.check_path(model, wanted, q)
     assert not check
     worst = min((f for f in check.issues if f.required), key=lambda f: f.value)
     assert worst.setting == "axes.y.firm"
     assert worst.about in ("+y", "−y")
     assert f"nearest that works: axes.y.firm={worst.value:g}" in str(check)
-    better = asked.replace(axes={"y": pliant.Axis(soft=4.0, firm=worst.value)})
-    assert pliant.feasibility.check_path(model, better, q)
+    changed = wanted.replace(axes={"y": pliant.Axis(soft=4.0, firm=worst.value)})
+    assert pliant.feasibility.check_path(model, changed, q)
 
 
 def test_tracking_raises_soft_to_three_times_the_friction(model, q):
-    asked = pliant.Settings(axes={"y": pliant.Axis(soft=0.01, firm=15.0)})
-    raised = asked.raise_soft(model, q)
-    rubs = pliant.Controller(model, asked).report(q).axes["y"].friction
-    soft = np.max(raised.axes["y"].soft)
+    original = pliant.Settings(axes={"y": pliant.Axis(soft=0.01, firm=15.0)})
+    result = original.raise_soft(model, q)
+    rubs = pliant.Controller(model, original).report(q).axes["y"].friction
+    soft = np.max(result.axes["y"].soft)
     assert 3.0 * rubs <= soft <= 3.3 * rubs
-    np.testing.assert_array_equal(raised.axes["y"].firm, 15.0)
-    assert raised.raise_soft(model, q) == raised
-    assert np.min(asked.raise_soft(model).axes["y"].soft) > 0.1
+    np.testing.assert_array_equal(result.axes["y"].firm, 15.0)
+    assert result.raise_soft(model, q) == result
+    assert np.min(original.raise_soft(model).axes["y"].soft) > 0.1
 
 
-def test_a_singular_pose_that_a_push_leads_to_is_said(model):
+def test_a_singular_pose_that_a_push_leads_to_is_reported(model):
     """The elbow is nearly stretched, so that an outward push ends at the arm's reach."""
     q = np.array([-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657])
-    bent = q.copy()
-    bent[3] = -0.6
+    bent_q = q.copy()
+    bent_q[3] = -0.6
     settings = pliant.Settings(axes={"x": pliant.Axis(soft=5.0)})
-    report = pliant.Controller(model, settings).report(bent)
-    near, x = 0.1 * report.sigma_0, report.axes["x"]
-    assert x.path_sigma[1] < near < 0.99 * x.path_sigma[0]
+    report = pliant.Controller(model, settings).report(bent_q)
+    threshold, x = 0.1 * report.sigma_0, report.axes["x"]
+    assert x.path_sigma[1] < threshold < 0.99 * x.path_sigma[0]
     assert x.path_friction[1] > 5.0 * x.friction
     assert x.path_friction[0] < 1.1 * x.friction
-    far = x.path_distance[1]
-    for share, reached in ((0.7, True), (1.05, False)):
-        target = model.forward_kinematics(bent)
-        target[0, 3] += share * far
-        assert model.inverse_kinematics(target, bent).converged is reached
-    (said,) = [s for s in report.summary() if "singular" in s]
-    assert said.startswith(f"+x: pushed by {1e3 * far:.0f} mm the arm is near a singular pose")
+    distance = x.path_distance[1]
+    for share, is_reached in ((0.7, True), (1.05, False)):
+        target = model.forward_kinematics(bent_q)
+        target[0, 3] += share * distance
+        assert model.inverse_kinematics(target, bent_q).converged is is_reached
+    (sentence,) = [s for s in report.summary() if "singular" in s]
+    assert sentence.startswith(
+        f"+x: pushed by {1e3 * distance:.0f} mm the arm is near a singular pose"
+    )
 
-    check = pliant.feasibility.check_path(model, settings, np.stack([q, bent]))
+    check = pliant.feasibility.check_path(model, settings, np.stack([q, bent_q]))
     assert check.sigma_pose == 1
     assert check.sigma_min == pytest.approx(report.sigma_min, rel=0.01)
     assert check.path_sigma[0, 1] == x.path_sigma[1]
     assert np.all(np.isinf(check.path_sigma[1:])), "sides that do not yield"
-    (found,) = [one for one in check.issues if "singular" in one.reason]
-    assert (found.about, found.pose, found.required) == ("+x", 1, False)
+    (issue,) = [item for item in check.issues if "singular" in item.reason]
+    assert (issue.about, issue.pose, issue.required) == ("+x", 1, False)
 
 
 def test_check_takes_what_a_step_takes(model, q, target):
-    at = target[:3, 3]
-    lone = pliant.Settings(task="xyz")
-    wanted = str(pliant.feasibility.check_path(model, lone, target, q0=q))
+    position = target[:3, 3]
+    position_settings = pliant.Settings(task="xyz")
+    expected = str(pliant.feasibility.check_path(model, position_settings, target, q0=q))
 
     class Held:
         matrix = target
 
-    for form in (at, at.tolist(), pliant.Pose(target), Held()):
-        assert str(pliant.feasibility.check_path(model, lone, form, q0=q)) == wanted
-        pliant.Controller(model, lone).step(q, form)
+    for form in (position, position.tolist(), pliant.Pose(target), Held()):
+        assert str(pliant.feasibility.check_path(model, position_settings, form, q0=q)) == expected
+        pliant.Controller(model, position_settings).step(q, form)
     with pytest.raises(pliant.ShapeError, match=r"expected \(4, 4\), \(3,\), \(7,\) or \(N, 7\)"):
-        pliant.feasibility.check_path(model, lone, np.zeros(5))
+        pliant.feasibility.check_path(model, position_settings, np.zeros(5))
     with pytest.raises(pliant.ShapeError, match=r"expected \(4, 4\), \(7,\) or \(N, 7\)"):
-        pliant.feasibility.check_path(model, pliant.Settings(), at)
-    assert not pliant.feasibility.check_path(model, lone, [0.9, 0.0, 0.9])
+        pliant.feasibility.check_path(model, pliant.Settings(), position)
+    assert not pliant.feasibility.check_path(model, position_settings, [0.9, 0.0, 0.9])

@@ -79,14 +79,14 @@ def axes(draw):
     return Axis(**fields)
 
 
-seven = st.lists(number(0.1, 3.0), min_size=7, max_size=7)
+joint_values = st.lists(number(0.1, 3.0), min_size=7, max_size=7)
 
 
 @st.composite
 def some(draw, group, **fields):
     """Return a group of settings with a random choice of fields."""
-    kept = draw(st.sets(st.sampled_from(sorted(fields))))
-    return group(**{name: draw(fields[name]) for name in sorted(kept)})
+    names = draw(st.sets(st.sampled_from(sorted(fields))))
+    return group(**{name: draw(fields[name]) for name in sorted(names)})
 
 
 @st.composite
@@ -109,11 +109,11 @@ def some_settings(draw):
         "null_space": some(
             NullSpace,
             gain=maybe(number(0, 100)),
-            posture=maybe(seven),
+            posture=maybe(joint_values),
             max_speed=maybe(number(0, 10)),
         ),
         "compensation": some(Compensation, friction=number(0, 1), delay=number(0, 1)),
-        "torque_limits": some(TorqueLimits, margin=number(0, 1), floor=maybe(seven)),
+        "torque_limits": some(TorqueLimits, margin=number(0, 1), floor=maybe(joint_values)),
         "paper_options": some(
             PaperOptions,
             follow=st.sampled_from([None, "free", "hold"]),
@@ -124,7 +124,7 @@ def some_settings(draw):
             raw_deviation=st.booleans(),
         ),
     }
-    kept = draw(st.sets(st.sampled_from(sorted([*fields, *groups]))))
+    names = draw(st.sets(st.sampled_from(sorted([*fields, *groups]))))
     if draw(st.booleans()):
         springs = Axis(stiffness=draw(sides(0, 1e3)), damping=draw(maybe(sides(0, 40))))
         return Settings(
@@ -132,8 +132,8 @@ def some_settings(draw):
             axes={"x": springs},
             null_space=NullSpace(stiffness=draw(number(0, 60))),
         )
-    fields |= {name: draw(groups[name]) for name in sorted(kept & groups.keys())}
-    return Settings(**{name: fields[name] for name in kept})
+    fields |= {name: draw(groups[name]) for name in sorted(names & groups.keys())}
+    return Settings(**{name: fields[name] for name in names})
 
 
 @given(some_settings())
@@ -168,12 +168,12 @@ def test_other_values_round_trip(value):
 
 def test_repr_shows_what_is_not_the_default():
     assert repr(Settings()) == "Settings()"
-    shown = repr(
+    text = repr(
         Settings(
             rate=200, axes={"y": Axis(soft=2)}, null_space=NullSpace(max_speed=None), task="xyz"
         )
     )
-    assert shown == "Settings(task=Task(axes='xyz'), axes={'y': Axis(soft=2.0)}, rate=200.0)"
+    assert text == "Settings(task=Task(axes='xyz'), axes={'y': Axis(soft=2.0)}, rate=200.0)"
     assert repr(Task("all")) == "Task()"
 
 
@@ -245,11 +245,11 @@ def test_a_group_changes_only_the_fields_that_it_was_given():
     # Setting a group sets all its fields, also those that the preset gives.
     assert Settings.door(null_space=Settings().null_space).null_space == NullSpace()
     # Copies and pickles remember which fields were given.
-    for given_one in (
+    for group in (
         copy.copy(Tracking(gain=3.0)),
         pickle.loads(pickle.dumps(Tracking(gain=3.0))),
     ):
-        assert Settings.paper(tracking=given_one).tracking.goal_slew == float("inf")
+        assert Settings.paper(tracking=group).tracking.goal_slew == float("inf")
     assert repr(Tracking(gain=4.0)) == "Tracking(gain=4.0)"
     assert repr(Settings(tracking=Tracking(gain=3.0))) == "Settings(tracking=Tracking(gain=3.0))"
 
@@ -264,10 +264,10 @@ def test_presets():
     assert [name for name, axis in door.axes.items() if axis.yields] == ["y", "yaw"]
     assert door.axes["y"].adaptation == 0.999
     assert door.accept_high_adaptation
-    guided = Settings.hand_guiding(task="xyz", axes={"z": Axis(hold=20.0)})
-    assert [name for name, axis in guided.axes.items() if axis.yields] == ["x", "y"]
-    assert guided.axes["z"] == Axis(hold=20.0)
-    assert guided.null_space.gain == 1.0
+    guiding = Settings.hand_guiding(task="xyz", axes={"z": Axis(hold=20.0)})
+    assert [name for name, axis in guiding.axes.items() if axis.yields] == ["x", "y"]
+    assert guiding.axes["z"] == Axis(hold=20.0)
+    assert guiding.null_space.gain == 1.0
     soft = Settings.soft("y", axes={"x": Axis(hold=30.0)}, rate=200.0)
     assert soft.axes["y"] == Axis(yields="both", adaptation=0.9)
     assert soft.axes["x"].hold == 30.0
@@ -288,7 +288,7 @@ def test_presets_make_controllers(model):
         assert pliant.Controller(model, settings).settings == settings
 
 
-WRONG = {
+INVALID = {
     "an unknown field": (
         lambda: Settings(lwa="cap"),
         r"lwa: Settings has no such field; did you mean 'law'\?",
@@ -362,16 +362,16 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize("case", WRONG)
-def test_what_is_wrong_is_said_with_the_remedy(case):
-    call, message = WRONG[case]
-    with pytest.raises(pliant.ConfigError, match=message) as caught:
+@pytest.mark.parametrize("case", INVALID)
+def test_invalid_settings_are_reported_with_a_remedy(case):
+    call, message = INVALID[case]
+    with pytest.raises(pliant.ConfigError, match=message) as error:
         call()
-    assert caught.value.key
+    assert error.value.key
 
 
 def test_numbers_outside_their_bounds():
-    for call, what in (
+    for call, description in (
         (lambda: Axis(adaptation=1.0, soft=1.0), "Axis.adaptation"),
         (lambda: Settings(rate=0.0), "rate [Hz]"),
         (lambda: Settings(rate=None), "rate [Hz]"),
@@ -381,10 +381,10 @@ def test_numbers_outside_their_bounds():
         (lambda: Servos(kp=[1.0, -1.0], max_torque=1.0), "servos.kp[1]"),
         (lambda: Payload(-1.0), "payload.mass [kg]"),
     ):
-        with pytest.raises(pliant.OutOfRangeError) as caught:
+        with pytest.raises(pliant.OutOfRangeError) as error:
             call()
-        assert caught.value.what == what
-        assert caught.value.bound
+        assert error.value.what == description
+        assert error.value.bound
     with pytest.raises(pliant.ShapeError, match=r"servos.kp has shape \(2,\), expected \(3,\)"):
         Servos(kp=[1.0, 2.0], max_torque=[1.0, 2.0, 3.0])
 

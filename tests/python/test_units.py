@@ -38,29 +38,29 @@ DIRECTIONS = [np.array(d, float) for d in ([1, 0, 0], [0, -1, 0], [0, 0, 1], [1,
 def test_the_bound_on_a_target_is_a_ball_around_the_first_joint(arm, direction):
     model, controller, q = arm
     bound = 2.0 * model.reach + 0.1
-    near, far = at(model, bound - 1e-6, direction), at(model, bound + 1e-6, direction)
+    inside, outside = at(model, bound - 1e-6, direction), at(model, bound + 1e-6, direction)
     rows = np.array([q, q])
-    controller.step(q, near)
-    model.check_target(near)
-    controller.check(near, q0=q)
+    controller.step(q, inside)
+    model.check_target(inside)
+    controller.check(inside, q0=q)
     state = controller.batch_state(2)
-    controller.step_batch(rows, np.array([near, near]), state=state)
+    controller.step_batch(rows, np.array([inside, inside]), state=state)
     before = pickle.dumps(controller)
-    for refused in (
-        lambda: controller.step(q, far),
-        lambda: model.check_target(far),
-        lambda: model.check_target(far[:3, 3]),
-        lambda: controller.check(far, q0=q),
-        lambda: controller.step_batch(rows, far),
-        lambda: controller.step_batch(rows, np.array([near, far])),
-        lambda: controller.step_batch(rows, np.array([near, far]), state=state),
+    for call in (
+        lambda: controller.step(q, outside),
+        lambda: model.check_target(outside),
+        lambda: model.check_target(outside[:3, 3]),
+        lambda: controller.check(outside, q0=q),
+        lambda: controller.step_batch(rows, outside),
+        lambda: controller.step_batch(rows, np.array([inside, outside])),
+        lambda: controller.step_batch(rows, np.array([inside, outside]), state=state),
     ):
         with pytest.raises(pliant.OutOfRangeError) as error:
-            refused()
-        said = str(error.value)
-        assert model.joint_names[0] in said
-        assert "millimetres?" in said
-        assert f"{model.reach:.3f} m" in said
+            call()
+        message = str(error.value)
+        assert model.joint_names[0] in message
+        assert "millimetres?" in message
+        assert f"{model.reach:.3f} m" in message
         assert error.value.value > bound - 2e-3
     assert pickle.dumps(controller) == before
 
@@ -123,27 +123,27 @@ def test_joint_targets_beyond_the_limits_by_a_margin_are_refused(arm):
         for limit, sign in ((model.upper, 1.0), (model.lower, -1.0)):
             if not np.isfinite(limit[i]):
                 continue
-            wanted = q.copy()
-            wanted[i] = limit[i] + sign * 0.19
-            model.check_joint_target(wanted)
-            command = controller.step_joints(q, wanted)
+            expected = q.copy()
+            expected[i] = limit[i] + sign * 0.19
+            model.check_joint_target(expected)
+            command = controller.step_joints(q, expected)
             assert np.all(np.isfinite(command.goal))
             before = pickle.dumps(controller)
-            for off in (0.21, 2.75, 57.0):
-                wanted[i] = limit[i] + sign * off
-                for refused in (
-                    lambda wanted=wanted: controller.step_joints(q, wanted),
-                    lambda wanted=wanted: model.check_joint_target(wanted),
-                    lambda wanted=wanted: controller.check(wanted),
-                    lambda wanted=wanted: controller.check(np.array([q, wanted])),
+            for excess in (0.21, 2.75, 57.0):
+                expected[i] = limit[i] + sign * excess
+                for call in (
+                    lambda expected=expected: controller.step_joints(q, expected),
+                    lambda expected=expected: model.check_joint_target(expected),
+                    lambda expected=expected: controller.check(expected),
+                    lambda expected=expected: controller.check(np.array([q, expected])),
                 ):
                     with pytest.raises(pliant.OutOfRangeError) as error:
-                        refused()
-                    said = str(error.value)
-                    assert model.joint_names[i] in said
-                    assert "degrees?" in said
-                    assert f"limits [{model.lower[i]:g}, {model.upper[i]:g}]" in said
-                    assert error.value.value == wanted[i]
+                        call()
+                    message = str(error.value)
+                    assert model.joint_names[i] in message
+                    assert "degrees?" in message
+                    assert f"limits [{model.lower[i]:g}, {model.upper[i]:g}]" in message
+                    assert error.value.value == expected[i]
             assert pickle.dumps(controller) == before
 
 
@@ -151,9 +151,9 @@ def test_small_degrees_are_refused():
     model = pliant.robots.so101()
     controller = pliant.Controller(model, pliant.Settings.firm(task="xyz"))
     q = np.zeros(5)
-    for wanted in ([5, 3, -2, 4, 1], [0, 4.5, 0, 0, 0], [90, 0, 45, 0, 0]):
+    for expected in ([5, 3, -2, 4, 1], [0, 4.5, 0, 0, 0], [90, 0, 45, 0, 0]):
         with pytest.raises(pliant.OutOfRangeError, match="is it in degrees"):
-            controller.step_joints(q, wanted)
+            controller.step_joints(q, expected)
 
 
 def test_rows_that_are_too_far_become_nan_where_asked():
@@ -166,14 +166,14 @@ def test_rows_that_are_too_far_become_nan_where_asked():
         for count in (3, 300):
             rows = rng.uniform(-0.5, 0.5, (count, 7)) + np.array([0, 0, 0, -1, 0, 0, 0])
             poses = model.forward_kinematics_batch(rows)
-            far = rng.random(count) < 0.3
-            far[1] = True
-            for i in np.flatnonzero(far):
+            is_far = rng.random(count) < 0.3
+            is_far[1] = True
+            for i in np.flatnonzero(is_far):
                 poses[i] = at(model, bound * rng.uniform(1.001, 50), rng.normal(size=3))
             for state in (None, controller.batch_state(count)):
                 out = controller.step_batch(rows, poses, state=state, invalid="nan")
-                assert np.array_equal(np.isnan(out.goal).any(axis=1), far)
-                first = int(np.flatnonzero(far)[0])
+                assert np.array_equal(np.isnan(out.goal).any(axis=1), is_far)
+                first = int(np.flatnonzero(is_far)[0])
                 with pytest.raises(
                     pliant.OutOfRangeError, match=rf"targets\[{first}\].*millimetres"
                 ):

@@ -1,4 +1,4 @@
-"""A simulated arm whose loop a network process controls, and an independent ROS 2 client."""
+"""A simulated arm that a network process commands, and an independent ROS 2 client."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ import pytest
 import pliant
 from pliant.ros import Bridge
 
-#: Longest time that a test waits for an event [s]; a loaded machine needs seconds for some.
+#: Time after which a test stops waiting for an event [s]; some take seconds on a loaded machine.
 DEADLINE = 60.0
 #: Pause after every tick [s], in which the other processes can run.
 PAUSE = 0.002
@@ -42,11 +42,11 @@ class Running:
         self.ticks = iter(self.loop)
         self.tool = np.eye(4)
 
-    def until(self, condition, what):
+    def until(self, condition, description):
         """Run the loop until `condition()` is true; fail after `DEADLINE`."""
         end = time.monotonic() + DEADLINE
         while not condition():
-            assert time.monotonic() < end, f"{what} did not happen within {DEADLINE:g} s"
+            assert time.monotonic() < end, f"{description} did not happen within {DEADLINE:g} s"
             self.ticks_of(1)
 
     def ticks_of(self, count):
@@ -59,22 +59,22 @@ class Running:
     def close(self):
         self.ticks.close()
 
-    def said(self):
+    def log_text(self):
         """Return the text on stderr of the process that runs the network."""
         return self._stderr.read_text()
 
 
 @contextlib.contextmanager
 def stderr_to(path):
-    """Return a context in which processes that start write their stderr into a file."""
-    ours = os.dup(2)
+    """Redirect stderr to a file in this context: processes started in it inherit the file."""
+    original = os.dup(2)
     with path.open("wb") as file:
         os.dup2(file.fileno(), 2)
     try:
         yield
     finally:
-        os.dup2(ours, 2)
-        os.close(ours)
+        os.dup2(original, 2)
+        os.close(original)
 
 
 class Foxglove:
@@ -84,7 +84,7 @@ class Foxglove:
         from websockets.sync.client import connect
 
         self.socket = connect(address, subprotocols=["foxglove.sdk.v1"])
-        self.channels, self.got, self.answers = {}, {}, {}
+        self.channels, self.received, self.answers = {}, {}, {}
         self._topics = {}
 
     def poll(self):
@@ -97,7 +97,7 @@ class Foxglove:
             if isinstance(message, bytes):
                 kind, subscription, _ = struct.unpack_from("<BIQ", message)
                 assert kind == 1
-                self.got.setdefault(self._topics[subscription], []).append(message[13:])
+                self.received.setdefault(self._topics[subscription], []).append(message[13:])
                 continue
             answer = json.loads(message)
             self.answers[answer["op"]] = answer
@@ -110,8 +110,8 @@ class Foxglove:
     def subscribe(self, topic):
         number = len(self._topics) + 1
         self._topics[number] = topic
-        wanted = {"id": number, "channelId": self.channels[topic]["id"]}
-        self.send(op="subscribe", subscriptions=[wanted])
+        request = {"id": number, "channelId": self.channels[topic]["id"]}
+        self.send(op="subscribe", subscriptions=[request])
 
     def decode(self, topic):
         """Decode the last message of a topic with the definition that the server announced."""
@@ -121,22 +121,22 @@ class Foxglove:
         assert (channel["encoding"], channel["schemaEncoding"]) == ("cdr", "ros2msg")
         store = get_typestore(Stores.EMPTY)
         store.register(get_types_from_msg(channel["schema"], channel["schemaName"]))
-        return store.deserialize_cdr(self.got[topic][-1], channel["schemaName"])
+        return store.deserialize_cdr(self.received[topic][-1], channel["schemaName"])
 
 
 @contextlib.contextmanager
 def run_node(port, tmp_path_factory, settings):
-    """Start a node on a port, and a loop of a simulated SO-101 that it commands."""
+    """Start a node on a port; yield the `Running` loop of a simulated SO-101 that it commands."""
     from pliant.ros import ros_link
 
     stderr = tmp_path_factory.mktemp("node") / "stderr"
     with stderr_to(stderr):
         link = ros_link(listen=f"tcp/127.0.0.1:{port}")
     with link, pliant.connect("so101", backend="sim", on_exit="leave_enabled") as arm:
-        made = Running(arm, settings, link, stderr)
-        made.ticks_of(5)
-        yield made
-        made.close()
+        running = Running(arm, settings, link, stderr)
+        running.ticks_of(5)
+        yield running
+        running.close()
 
 
 #: Definitions of message types as ROS 2 ships them, without comments and constants.
@@ -197,7 +197,7 @@ SERVICES = {
 
 
 class Client:
-    """Client zenoh-ros2-sdk; `got` has the messages that it has received, by topic."""
+    """Client zenoh-ros2-sdk; `received` has the messages that it has received, by topic."""
 
     def __init__(self, sdk, port, folder):
         self.sdk, self.port = sdk, port
@@ -211,7 +211,7 @@ class Client:
         self.registry.messages_dir = folder
         # The registry is global: forget types that belong to the session of an earlier client.
         self.registry._loaded_types.clear()
-        self.got: dict[str, list] = {}
+        self.received: dict[str, list] = {}
         self._publishers: dict[str, object] = {}
 
     @staticmethod
@@ -219,10 +219,10 @@ class Client:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text)
 
-    def subscribe(self, topic, kind, **more):
-        got = self.got.setdefault(topic, [])
+    def subscribe(self, topic, kind, **extra):
+        messages = self.received.setdefault(topic, [])
         return self.sdk.ROS2Subscriber(
-            topic, kind, callback=got.append, router_port=self.port, domain_id=0, **more
+            topic, kind, callback=messages.append, router_port=self.port, domain_id=0, **extra
         )
 
     def publish(self, topic, kind, **fields):
@@ -248,20 +248,20 @@ class Client:
 def answer(running, call):
     """Run the loop until a service call has returned, and return its result."""
     with ThreadPoolExecutor(1) as pool:
-        out = pool.submit(call)
-        running.until(out.done, "the answer of the service")
-    assert out.result() is not None, "the service did not answer"
-    return out.result()
+        future = pool.submit(call)
+        running.until(future.done, "the answer of the service")
+    assert future.result() is not None, "the service did not answer"
+    return future.result()
 
 
-def six(client, values):
-    """Return the fields of a message with one number per axis."""
+def axis_values(client, values):
+    """Return the fields of a `Float64MultiArray` message with one number per axis."""
     layout = client.make("std_msgs/msg/MultiArrayLayout", dim=[], data_offset=0)
     return {"layout": layout, "data": np.array(values, dtype=float)}
 
 
-def send_until(running, client, topic, fields, *, condition, what):
-    """Publish every 0.3 s until `condition()` holds: the subscriber is discovered after a while."""
+def send_until(running, client, topic, fields, *, condition, description):
+    """Publish every 0.3 s until `condition()` is true: discovery of the subscriber takes time."""
     from pliant.ros.interface import SUBSCRIBED
 
     kind, last = SUBSCRIBED[topic.replace("/pliant", "~")], [0.0]
@@ -272,7 +272,7 @@ def send_until(running, client, topic, fields, *, condition, what):
             last[0] = time.monotonic()
         return condition()
 
-    running.until(check, what)
+    running.until(check, description)
 
 
 @pytest.fixture(scope="module")
@@ -280,12 +280,12 @@ def client_of(tmp_path_factory):
     """Return a function that connects the client to a port."""
     sdk = pytest.importorskip("zenoh_ros2_sdk", reason="the client: pip install zenoh-ros2-sdk")
     logging.getLogger("zenoh_ros2_sdk").setLevel(logging.ERROR)
-    made = []
+    clients = []
 
     def connect(port):
-        made.append(Client(sdk, port, tmp_path_factory.mktemp("messages")))
-        return made[-1]
+        clients.append(Client(sdk, port, tmp_path_factory.mktemp("messages")))
+        return clients[-1]
 
     yield connect
-    for client in made:
+    for client in clients:
         client.session.close()

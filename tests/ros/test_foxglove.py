@@ -1,4 +1,4 @@
-"""`pliant foxglove` against a WebSocket client that speaks Foxglove's protocol."""
+"""`pliant foxglove` with a WebSocket client that speaks Foxglove's protocol."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ SOFT = pliant.Settings.soft("x y", task="xyz")
 
 @pytest.fixture(scope="module")
 def running(tmp_path_factory):
-    with run_arm(tmp_path_factory, allow_commands=True) as made:
-        yield made
+    with run_arm(tmp_path_factory, allow_commands=True) as arm_loop:
+        yield arm_loop
 
 
 @contextlib.contextmanager
@@ -31,10 +31,10 @@ def run_arm(tmp_path_factory, *, allow_commands):
     with stderr_to(stderr):
         link = foxglove_link(port=0, allow_commands=allow_commands)
     with link, pliant.connect("so101", backend="sim", on_exit="leave_enabled") as arm:
-        made = Running(arm, SOFT, link, stderr)
-        made.ticks_of(5)
-        yield made
-        made.close()
+        running = Running(arm, SOFT, link, stderr)
+        running.ticks_of(5)
+        yield running
+        running.close()
 
 
 def client_of(running):
@@ -50,17 +50,17 @@ def client_of(running):
 
 @pytest.fixture(scope="module")
 def client(running):
-    made = client_of(running)
-    yield made
-    made.socket.close()
+    foxglove = client_of(running)
+    yield foxglove
+    foxglove.socket.close()
 
 
-def wait(running, client, condition, what):
+def wait(running, client, condition, description):
     def check():
         client.poll()
         return condition()
 
-    running.until(check, what)
+    running.until(check, description)
 
 
 def test_state_and_description_arrive(running, client):
@@ -73,7 +73,9 @@ def test_state_and_description_arrive(running, client):
     ]
     for topic in topics:
         client.subscribe(topic)
-    wait(running, client, lambda: all(client.got.get(topic) for topic in topics), "all messages")
+    wait(
+        running, client, lambda: all(client.received.get(topic) for topic in topics), "all messages"
+    )
     model = running.arm.model
     joints = client.decode("/joint_states")
     assert list(joints.name) == [*model.joint_names, "gripper"]
@@ -83,8 +85,8 @@ def test_state_and_description_arrive(running, client):
     }
     pose = client.decode("/pliant/current_pose")
     assert pose.header.frame_id == model.base
-    at = [getattr(pose.pose.position, axis) for axis in "xyz"]
-    assert np.linalg.norm(running.tool[:3, 3] - at) < 0.01
+    position = [getattr(pose.pose.position, axis) for axis in "xyz"]
+    assert np.linalg.norm(running.tool[:3, 3] - position) < 0.01
 
 
 def test_caps_are_parameters_that_can_be_set(running, client):
@@ -115,10 +117,10 @@ def test_caps_are_parameters_that_can_be_set(running, client):
     )
     assert client.answers["parameterValues"]["parameters"][0]["value"] == 3.5
     text = "parameters refused: axes.x.soft = 150 is outside [0, firm = 4.5]"
-    wait(running, client, lambda: text in running.said(), "the refusal")
+    wait(running, client, lambda: text in running.log_text(), "the refusal")
 
 
-def publish_until(running, client, message, condition, what):
+def publish_until(running, client, message, condition, description):
     """Publish a target as JSON until the loop shows the effect."""
     channel = {"id": 1, "topic": "/pliant/target_pose", "encoding": "json"}
     client.send(
@@ -132,7 +134,7 @@ def publish_until(running, client, message, condition, what):
             last[0] = time.monotonic()
         return condition()
 
-    wait(running, client, check, what)
+    wait(running, client, check, description)
     client.send(op="unadvertise", channelIds=[1])
 
 
@@ -155,11 +157,11 @@ def test_published_target_moves_the_tool(running, client):
     )
 
 
-def test_json_that_is_no_pose_is_refused(running, client):
+def test_json_without_a_valid_pose_is_refused(running, client):
     before = running.bridge.target.copy()
     text = "a geometry_msgs/msg/PoseStamped has the fields header, pose"
     publish_until(
-        running, client, {"position": [1, 2, 3]}, lambda: text in running.said(), "the refusal"
+        running, client, {"position": [1, 2, 3]}, lambda: text in running.log_text(), "the refusal"
     )
     assert (running.bridge.target == before).all()
 
@@ -181,7 +183,7 @@ def test_without_permission_it_only_shows(tmp_path_factory):
         client.socket.send(struct.pack("<BI", 1, 1) + json.dumps({"pose": pose}).encode())
         # The server answers in order, so the commands have been handled when a state arrives.
         client.subscribe("/joint_states")
-        wait(running, client, lambda: client.got.get("/joint_states"), "a state")
+        wait(running, client, lambda: client.received.get("/joint_states"), "a state")
         running.ticks_of(50)
         assert (running.bridge.target == before).all()
         assert running.controller.axes["x"].soft == (1.0, 1.0)

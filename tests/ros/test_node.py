@@ -1,4 +1,4 @@
-"""`pliant ros` against zenoh-ros2-sdk, another implementation of rmw_zenoh's protocol."""
+"""`pliant ros` with a client of zenoh-ros2-sdk, another implementation of rmw_zenoh's protocol."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import zenoh
 
 import pliant
 from pliant.ros import ros_link, wire
-from tests.ros.conftest import answer, free_port, run_node, send_until, six
+from tests.ros.conftest import answer, axis_values, free_port, run_node, send_until
 
 SOFT = pliant.Settings.soft("x y", task="xyz")
 
@@ -23,8 +23,8 @@ def port():
 
 @pytest.fixture(scope="module")
 def running(port, tmp_path_factory):
-    with run_node(port, tmp_path_factory, SOFT) as made:
-        yield made
+    with run_node(port, tmp_path_factory, SOFT) as node:
+        yield node
 
 
 @pytest.fixture(scope="module")
@@ -34,16 +34,16 @@ def client(running, port, client_of):
 
 def pose_fields(client, pose, frame="base", xyzw=None, stamp=(0, 0)):
     x, y, z, w = pliant.Pose(pose).xyzw if xyzw is None else xyzw
-    at = dict(zip("xyz", map(float, pose[:3, 3]), strict=True))
-    point = client.make("geometry_msgs/msg/Point", **at)
-    turn = client.make(
+    xyz = dict(zip("xyz", map(float, pose[:3, 3]), strict=True))
+    point = client.make("geometry_msgs/msg/Point", **xyz)
+    rotation = client.make(
         "geometry_msgs/msg/Quaternion", x=float(x), y=float(y), z=float(z), w=float(w)
     )
     sec, nanosec = stamp
     time_ = client.make("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec)
     return {
         "header": client.make("std_msgs/msg/Header", stamp=time_, frame_id=frame),
-        "pose": client.make("geometry_msgs/msg/Pose", position=point, orientation=turn),
+        "pose": client.make("geometry_msgs/msg/Pose", position=point, orientation=rotation),
     }
 
 
@@ -54,11 +54,13 @@ def test_state_arrives_with_names_frames_and_values(running, client):
         "/pliant/current_pose": "geometry_msgs/msg/PoseStamped",
         "/pliant/external_wrench": "geometry_msgs/msg/WrenchStamped",
     }
-    open_ = [client.subscribe(topic, kind) for topic, kind in kinds.items()]
-    running.until(lambda: all(client.got[topic] for topic in kinds), "a message of every topic")
-    for subscriber in open_:
+    subscribers = [client.subscribe(topic, kind) for topic, kind in kinds.items()]
+    running.until(
+        lambda: all(client.received[topic] for topic in kinds), "a message of every topic"
+    )
+    for subscriber in subscribers:
         subscriber.close()
-    joints, tf, pose, wrench = (client.got[topic][-1] for topic in kinds)
+    joints, tf, pose, wrench = (client.received[topic][-1] for topic in kinds)
     model = running.arm.model
     assert list(joints.name) == [*model.joint_names, "gripper"]
     q = joints.position[: model.n]
@@ -68,42 +70,38 @@ def test_state_arrives_with_names_frames_and_values(running, client):
     # The transforms of all links, followed from the base, lead to the tool.
     links = {t.child_frame_id: t for t in tf.transforms}
     assert set(links) == set(model.frames) - {model.base}
-    found, at = np.eye(4), model.tip
-    while at != model.base:
-        step = links[at].transform
-        turn = step.rotation
-        move = step.translation
-        found = (
-            pliant.Pose.from_xyzw((move.x, move.y, move.z), (turn.x, turn.y, turn.z, turn.w)).matrix
-            @ found
-        )
-        at = links[at].header.frame_id
+    chained, frame = np.eye(4), model.tip
+    while frame != model.base:
+        transform = links[frame].transform
+        p, r = transform.translation, transform.rotation
+        chained = pliant.Pose.from_xyzw((p.x, p.y, p.z), (r.x, r.y, r.z, r.w)).matrix @ chained
+        frame = links[frame].header.frame_id
     same_time = [
         p
-        for p in client.got["/pliant/current_pose"]
+        for p in client.received["/pliant/current_pose"]
         if p.header.stamp == tf.transforms[0].header.stamp
     ]
     assert same_time, "no pose with the time of the transforms"
     assert np.allclose(
-        found[:3, 3], [getattr(same_time[0].pose.position, axis) for axis in "xyz"], atol=1e-9
+        chained[:3, 3], [getattr(same_time[0].pose.position, axis) for axis in "xyz"], atol=1e-9
     )
-    assert np.allclose(tool[:3, 3], found[:3, 3], atol=0.01)
+    assert np.allclose(tool[:3, 3], chained[:3, 3], atol=0.01)
 
 
 def test_description_arrives_at_a_subscriber_that_comes_later(running, client):
-    got = []
-    # As rmw_zenoh subscribes to a transient-local topic.
+    messages = []
+    # Subscribe as rmw_zenoh does for a transient-local topic.
     subscriber = zenoh.ext.declare_advanced_subscriber(
         client.session.session,
         wire.key_expression(0, "/robot_description", "std_msgs/msg/String"),
-        got.append,
+        messages.append,
         history=zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=1),
     )
-    running.until(lambda: got, "the description")
+    running.until(lambda: messages, "the description")
     subscriber.undeclare()
-    text = wire.decode("std_msgs/msg/String", got[0].payload.to_bytes()).data
+    text = wire.decode("std_msgs/msg/String", messages[0].payload.to_bytes()).data
     assert text == running.arm.model.source[0]
-    assert len(got[0].attachment.to_bytes()) == 8 + 8 + 1 + 16
+    assert len(messages[0].attachment.to_bytes()) == 8 + 8 + 1 + 16
 
 
 def test_sdk_gets_the_description_by_its_own_query(running, client):
@@ -111,12 +109,12 @@ def test_sdk_gets_the_description_by_its_own_query(running, client):
 
     qos = QosProfile(durability=QosDurability.TRANSIENT_LOCAL, history_depth=1)
     # The constructor itself waits for the answer to its query.
-    made = answer(
+    subscriber = answer(
         running, lambda: client.subscribe("/robot_description", "std_msgs/msg/String", qos=qos)
     )
-    running.until(lambda: client.got["/robot_description"], "the description")
-    made.close()
-    assert client.got["/robot_description"][0].data == running.arm.model.source[0]
+    running.until(lambda: client.received["/robot_description"], "the description")
+    subscriber.close()
+    assert client.received["/robot_description"][0].data == running.arm.model.source[0]
 
 
 def test_graph_shows_node_topics_and_services(running, client):
@@ -133,8 +131,8 @@ def test_graph_shows_node_topics_and_services(running, client):
     services = dict(client.sdk.get_service_names_and_types(domain_id=0, timeout=5.0))
     assert services["/pliant/set_parameters"] == ["rcl_interfaces/srv/SetParameters"]
     token = "@ros2_lv/0/*/*/*/NN/%/%/pliant"
-    found = [r for r in client.session.liveliness.get(token, timeout=5.0) if r.ok is not None]
-    assert len(found) == 1
+    replies = [r for r in client.session.liveliness.get(token, timeout=5.0) if r.ok is not None]
+    assert len(replies) == 1
 
 
 def test_target_pose_moves_the_tool(running, client):
@@ -147,7 +145,7 @@ def test_target_pose_moves_the_tool(running, client):
         "/pliant/target_pose",
         pose_fields(client, goal),
         condition=lambda: np.linalg.norm(running.tool[:3, 3] - goal[:3, 3]) < 0.008,
-        what="the motion to the target",
+        description="the motion to the target",
     )
     # Without further targets the arm holds the last one.
     running.ticks_of(200)
@@ -175,7 +173,7 @@ def test_target_joint_moves_the_joints_by_name(running, client):
         "/pliant/target_joint",
         fields,
         condition=lambda: np.allclose(running.bridge.target, target, atol=1e-9),
-        what="the joint target",
+        description="the joint target",
     )
 
 
@@ -190,11 +188,11 @@ BAD_POSES = {
 
 @pytest.mark.parametrize("case", BAD_POSES)
 def test_bad_target_is_refused_with_value_and_bound(running, client, case):
-    more, position, text = BAD_POSES[case]
+    extra, position, text = BAD_POSES[case]
     pose = np.eye(4)
     pose[:3, 3] = position
     before = running.bridge.target.copy()
-    fields = pose_fields(client, np.eye(4), **more)
+    fields = pose_fields(client, np.eye(4), **extra)
     for axis, value in zip("xyz", position, strict=True):
         setattr(fields["pose"].position, axis, float(value))
     send_until(
@@ -202,20 +200,20 @@ def test_bad_target_is_refused_with_value_and_bound(running, client, case):
         client,
         "/pliant/target_pose",
         fields,
-        condition=lambda: text in running.said(),
-        what=f"the refusal {text!r}",
+        condition=lambda: text in running.log_text(),
+        description=f"the refusal {text!r}",
     )
     running.ticks_of(20)
     assert (running.bridge.target == before).all()
 
 
-def test_bytes_that_are_no_message_are_refused(running, client):
+def test_bytes_that_are_not_a_message_are_refused(running, client):
     key = wire.key_expression(0, "/pliant/target_pose", "geometry_msgs/msg/PoseStamped")
     before = running.bridge.target.copy()
 
     def refused():
         client.session.session.put(key, b"\x00\x01\x00\x00\xff\xff")
-        return "6 bytes are not a geometry_msgs/msg/PoseStamped" in running.said()
+        return "6 bytes are not a geometry_msgs/msg/PoseStamped" in running.log_text()
 
     running.until(refused, "the refusal")
     assert (running.bridge.target == before).all()
@@ -229,9 +227,9 @@ def test_softness_from_the_client_changes_the_settings_of_the_controller(running
         running,
         client,
         "/pliant/target_softness",
-        six(client, [3.0, nan, 2.5, nan, nan, nan]),
+        axis_values(client, [3.0, nan, 2.5, nan, nan, nan]),
         condition=lambda: running.controller.axes["x"].soft == (3.0, 3.0),
-        what="the change of the caps",
+        description="the change of the caps",
     )
     axes = running.controller.axes
     assert axes["z"].soft == (2.5, 2.5)
@@ -246,9 +244,9 @@ def test_stiffness_of_another_law_is_refused(running, client):
         running,
         client,
         "/pliant/target_stiffness",
-        six(client, [100.0] * 6),
-        condition=lambda: text in running.said(),
-        what="the refusal",
+        axis_values(client, [100.0] * 6),
+        condition=lambda: text in running.log_text(),
+        description="the refusal",
     )
 
 
@@ -270,12 +268,12 @@ def parameter(client, name, value):
 
 
 def test_parameters_are_listed_read_and_set(running, client):
-    listed = answer(
+    listing = answer(
         running,
         lambda: client.call("/pliant/list_parameters", "ListParameters", prefixes=[], depth=0),
     )
-    assert {"axes.y.soft", "axes.y.firm", "axes.y.yields"} <= set(listed.result.names)
-    done = answer(
+    assert {"axes.y.soft", "axes.y.firm", "axes.y.yields"} <= set(listing.result.names)
+    reply = answer(
         running,
         lambda: client.call(
             "/pliant/set_parameters",
@@ -287,9 +285,9 @@ def test_parameters_are_listed_read_and_set(running, client):
             ],
         ),
     )
-    assert [result.successful for result in done.results] == [True, False, False]
-    assert "axes.y.soft = 150 is outside [0, firm = 4.5]" in done.results[1].reason
-    assert "there is no parameter 'axes.w.soft'" in done.results[2].reason
+    assert [result.successful for result in reply.results] == [True, False, False]
+    assert "axes.y.soft = 150 is outside [0, firm = 4.5]" in reply.results[1].reason
+    assert "there is no parameter 'axes.w.soft'" in reply.results[2].reason
     running.until(
         lambda: running.controller.axes["y"].soft == (2.0, 2.0), "the change of the settings"
     )
@@ -304,7 +302,7 @@ def test_parameters_are_listed_read_and_set(running, client):
 
 
 def test_parameters_set_atomically_change_together_or_not(running, client):
-    def both(soft, firm):
+    def set_both(soft, firm):
         parameters = [
             parameter(client, "axes.y.soft", soft),
             parameter(client, "axes.y.firm", firm),
@@ -318,8 +316,8 @@ def test_parameters_set_atomically_change_together_or_not(running, client):
             ),
         ).result
 
-    assert not both(2.2, 1.0).successful
-    assert both(5.0, 6.0).successful
+    assert not set_both(2.2, 1.0).successful
+    assert set_both(5.0, 6.0).successful
     running.until(
         lambda: running.controller.axes["y"].firm == (6.0, 6.0), "the change of the settings"
     )

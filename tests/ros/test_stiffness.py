@@ -7,7 +7,7 @@ import pytest
 pytest.importorskip("zenoh", reason="ROS 2 needs zenoh: pip install 'pliant[ros]'")
 
 import pliant
-from tests.ros.conftest import answer, free_port, run_node, send_until, six
+from tests.ros.conftest import answer, axis_values, free_port, run_node, send_until
 
 
 def test_stiffness_from_the_client_changes_the_springs_of_law_impedance(
@@ -22,14 +22,14 @@ def test_stiffness_from_the_client_changes_the_springs_of_law_impedance(
             springs,
             client,
             "/pliant/target_stiffness",
-            six(client, [150.0, nan, nan, nan, nan, nan]),
+            axis_values(client, [150.0, nan, nan, nan, nan, nan]),
             condition=lambda: springs.controller.axes["x"].stiffness == (150.0, 150.0),
-            what="the change of the stiffness",
+            description="the change of the stiffness",
         )
         assert springs.controller.axes["y"].stiffness == before["y"].stiffness
-        # The name of CRISP's controllers for the same number.
-        read = answer(
+        # In CRISP's controllers this parameter has the name `task.k_pos_x`.
+        reply = answer(
             springs,
             lambda: client.call("/pliant/get_parameters", "GetParameters", names=["task.k_pos_x"]),
         )
-        assert read.values[0].double_value == 150.0
+        assert reply.values[0].double_value == 150.0

@@ -1,4 +1,4 @@
-"""Names, hashes and bytes of `pliant.ros.wire` against published values and other libraries."""
+"""`pliant.ros.wire`: names, hashes and bytes equal published values and other libraries."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from pliant.ros import wire
 
 def test_key_and_token_are_those_of_the_design_document():
     # Values from docs/design.md of rmw_zenoh.
-    hashed = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
+    type_hash = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
     name = wire.NodeName(2, "/", "talker")
     assert (
         wire.key_expression(0, "/robot1/chatter", "std_msgs/msg/String")
-        == f"0/robot1/chatter/std_msgs::msg::dds_::String_/{hashed}"
+        == f"0/robot1/chatter/std_msgs::msg::dds_::String_/{type_hash}"
     )
     assert name.token("aac3178e146ba6f1fc6e6a4085e77f21") == (
         "@ros2_lv/2/aac3178e146ba6f1fc6e6a4085e77f21/0/0/NN/%/%/talker"
@@ -31,7 +31,7 @@ def test_key_and_token_are_those_of_the_design_document():
         wire.QOS,
     ) == (
         "@ros2_lv/2/aac3178e146ba6f1fc6e6a4085e77f21/0/10/MP/%/%/talker/%chatter/"
-        f"std_msgs::msg::dds_::String_/{hashed}/::,10:,:,:,,"
+        f"std_msgs::msg::dds_::String_/{type_hash}/::,10:,:,:,,"
     )
 
 
@@ -88,11 +88,11 @@ def test_definitions_are_the_types_of_ros(name):
 
 
 @pytest.mark.parametrize("data", [b"", b"\x00", b"\x00\x01\x00\x00" + b"\xff" * 40])
-def test_bytes_that_are_no_message_are_a_value_error(data):
+def test_invalid_bytes_of_a_message_are_a_value_error(data):
     with pytest.raises(ValueError, match="bytes are not a"):
         wire.decode(ros.JOINT_STATE, data)
 
 
 def test_attachment_is_number_time_and_id():
-    made = wire.attachment(3, 4, bytes(range(16)))
-    assert made == b"\x03" + bytes(7) + b"\x04" + bytes(7) + b"\x10" + bytes(range(16))
+    attachment = wire.attachment(3, 4, bytes(range(16)))
+    assert attachment == b"\x03" + bytes(7) + b"\x04" + bytes(7) + b"\x10" + bytes(range(16))

@@ -101,7 +101,7 @@ def devices(kind, n, port="main"):
 
 @pytest.fixture
 def emulated():
-    """Open a bus of n emulated servos of one kind: `with emulated("sts", 3) as (bus, chain)`."""
+    """Return a context manager of an emulated bus and its driver: `emulated(kind, n)`."""
     from contextlib import contextmanager
 
     @contextmanager
@@ -119,13 +119,13 @@ def emulated():
                 for i in range(n)
             ]
             clock = ManualClock(bus) if options.get("clock") == "steps" else None
-            chain = ServoBus(specs, rate=rate, reply_timeout_min=0.1, clock=clock)
+            servo_bus = ServoBus(specs, rate=rate, reply_timeout_min=0.1, clock=clock)
             try:
                 if is_open:
-                    chain.open()
-                yield bus, chain
+                    servo_bus.open()
+                yield bus, servo_bus
             finally:
-                chain.close()
+                servo_bus.close()
 
     return start
 
@@ -137,9 +137,9 @@ def enabled():
     The torque limit is a share of the usable torque.
     """
 
-    def switch_on(chain, share=0.5):
-        limit = share * chain.servos.max_torque
-        chain.enable(chain.read().position, limit)
+    def switch_on(servo_bus, share=0.5):
+        limit = share * servo_bus.servos.max_torque
+        servo_bus.enable(servo_bus.read().position, limit)
         return np.array(limit)
 
     return switch_on

@@ -10,20 +10,20 @@ from pliant.servo import ServoBus, ServoSpec
 KINDS = ["sts", "xm", "xl430", "ex", "rx", "mx"]
 
 
-def settle(bus, chain, goal, limit, seconds=1.0):
+def settle(bus, servo_bus, goal, limit, seconds=1.0):
     for _ in range(10):
-        chain.read()
-        chain.write(goal, limit)
+        servo_bus.read()
+        servo_bus.write(goal, limit)
         bus.advance(seconds / 10)
-    return chain.read()
+    return servo_bus.read()
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_goals_arrive_in_radians(emulated, enabled, kind):
-    with emulated(kind, 3, clock="steps") as (bus, chain):
-        limit = enabled(chain)
+    with emulated(kind, 3, clock="steps") as (bus, servo_bus):
+        limit = enabled(servo_bus)
         goal = np.array([0.3, -0.2, 0.1])
-        sample = settle(bus, chain, goal, limit)
+        sample = settle(bus, servo_bus, goal, limit)
         middle = 512 if kind == "rx" else 2048
         for i, servo in enumerate(bus.servos):
             truth = servo.shaft.angle - middle * servo.model.count
@@ -35,40 +35,40 @@ def test_goals_arrive_in_radians(emulated, enabled, kind):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_limits_on_the_wire_are_what_was_asked(emulated, enabled, kind):
-    with emulated(kind, 2, clock="steps") as (bus, chain):
-        enabled(chain)
-        most = chain.servos.max_torque
+    with emulated(kind, 2, clock="steps") as (bus, servo_bus):
+        enabled(servo_bus)
+        largest = servo_bus.servos.max_torque
         for share in (0.0, 0.013, 0.37, 1.0, 7.0):
-            chain.write([0.0, 0.0], share * most)
-            chain.read()
+            servo_bus.write([0.0, 0.0], share * largest)
+            servo_bus.read()
             bus.sync()
             for i, servo in enumerate(bus.servos):
-                asked = min(share, 1.0) * most[i]
+                expected = min(share, 1.0) * largest[i]
                 name = {"sts": "torque_limit", "xm": "goal_current", "xl430": "goal_pwm"}
                 register = servo.get(name.get(kind, "torque_limit"))
                 full = {"sts": 1000, "xm": 1193, "xl430": 885}.get(kind, 1023)
-                unit = 4.1 / 2.3 * 0.00269 if kind == "xm" else most[i] / full
+                unit = 4.1 / 2.3 * 0.00269 if kind == "xm" else largest[i] / full
                 assert register <= full
-                assert asked - 1.001 * unit <= register * unit <= asked * (1 + 1e-9)
+                assert expected - 1.001 * unit <= register * unit <= expected * (1 + 1e-9)
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_what_is_negative_is_named_with_its_joint(emulated, enabled, kind):
-    with emulated(kind, 2, clock="steps") as (_, chain):
-        enabled(chain)
-        name = chain.names[1]
-        for call in (chain.enable, chain.write):
+def test_negative_values_are_named_with_their_joint(emulated, enabled, kind):
+    with emulated(kind, 2, clock="steps") as (_, servo_bus):
+        enabled(servo_bus)
+        name = servo_bus.names[1]
+        for call in (servo_bus.enable, servo_bus.write):
             with pytest.raises(ConfigError, match=f"limit of {name} is -0.1 N·m, at least 0"):
                 call([0.0, 0.0], [0.5, -0.1])
         with pytest.raises(ConfigError, match=f"velocity of {name} is -2 rad/s, at least 0"):
-            chain.write([0.0, 0.0], [0.5, 0.5], [1.0, -2.0])
+            servo_bus.write([0.0, 0.0], [0.5, 0.5], [1.0, -2.0])
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_order_on_the_wire_is_limit_goal_torque(emulated, enabled, kind):
-    with emulated(kind, 2, clock="steps") as (bus, chain):
-        enabled(chain)
-        chain.read()
+    with emulated(kind, 2, clock="steps") as (bus, servo_bus):
+        enabled(servo_bus)
+        servo_bus.read()
         for number in (1, 2):
             assert bus.log.order(number)[:3] == ["limit", "goal", "torque on"]
         assert bus.log.eeprom_writes() == []
@@ -77,23 +77,23 @@ def test_order_on_the_wire_is_limit_goal_torque(emulated, enabled, kind):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_no_goal_while_disabled(emulated, enabled, kind):
-    with emulated(kind, 2, clock="steps") as (bus, chain):
-        chain.write([0.5, 0.5], [1.0, 1.0])
-        chain.read()
+    with emulated(kind, 2, clock="steps") as (bus, servo_bus):
+        servo_bus.write([0.5, 0.5], [1.0, 1.0])
+        servo_bus.read()
         assert bus.log.writes() == []
-        enabled(chain)
-        chain.disable(["joint0"])
-        chain.read()
+        enabled(servo_bus)
+        servo_bus.disable(["joint0"])
+        servo_bus.read()
         bus.log.clear()
-        chain.write([0.2, 0.2], [0.5, 0.5])
-        chain.read()
+        servo_bus.write([0.2, 0.2], [0.5, 0.5])
+        servo_bus.read()
         assert {write.id for write in bus.log.writes()} == {2}
-        assert chain.enabled.tolist() == [False, True]
+        assert servo_bus.enabled.tolist() == [False, True]
 
 
 @pytest.mark.parametrize("kind", ["sts", "xm"])
 @pytest.mark.parametrize(
-    ("bad", "told"),
+    ("value", "message"),
     [
         (([np.nan, 0.0], [0.5, 0.5]), "goal of joint0 is not finite"),
         (([0.0, 0.0], [np.inf, 0.5]), "limit of joint0 is not finite"),
@@ -101,26 +101,26 @@ def test_no_goal_while_disabled(emulated, enabled, kind):
         (([0.0, 0.0], [0.5, 0.5], [np.nan, 1.0]), "velocity of joint0 is not a number"),
     ],
 )
-def test_numbers_of_a_disabled_joint_are_validated_too(emulated, enabled, kind, bad, told):
-    with emulated(kind, 2, clock="steps") as (bus, chain):
-        for disabled in (chain.names, ["joint0"]):
-            enabled(chain)
-            chain.disable(disabled)
-            chain.read()
+def test_numbers_of_a_disabled_joint_are_validated_too(emulated, enabled, kind, value, message):
+    with emulated(kind, 2, clock="steps") as (bus, servo_bus):
+        for names in (servo_bus.names, ["joint0"]):
+            enabled(servo_bus)
+            servo_bus.disable(names)
+            servo_bus.read()
             before = bus.log.count
-            with pytest.raises(ConfigError, match=told):
-                chain.write(*bad)
+            with pytest.raises(ConfigError, match=message):
+                servo_bus.write(*value)
             assert bus.log.count == before
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_goal_and_limit_travel_in_one_packet(emulated, enabled, kind):
-    with emulated(kind, 3, clock="steps") as (bus, chain):
-        limit = enabled(chain)
-        chain.read()
+    with emulated(kind, 3, clock="steps") as (bus, servo_bus):
+        limit = enabled(servo_bus)
+        servo_bus.read()
         bus.log.clear()
-        chain.write(np.full(3, 0.1), limit)
-        chain.read()
+        servo_bus.write(np.full(3, 0.1), limit)
+        servo_bus.read()
         writing = [t for t in bus.log if t.writes]
         assert len(writing) == (2 if kind == "xl430" else 1)
         assert all(len(t.writes) == 3 for t in writing)
@@ -128,72 +128,75 @@ def test_goal_and_limit_travel_in_one_packet(emulated, enabled, kind):
 
 
 def test_a_torque_that_is_on_already_is_taken_over(emulated, enabled):
-    with emulated("sts", 1, clock="steps") as (bus, chain):
-        limit = enabled(chain)
-        settle(bus, chain, [0.4], limit)
-        chain.close()
+    with emulated("sts", 1, clock="steps") as (bus, servo_bus):
+        limit = enabled(servo_bus)
+        settle(bus, servo_bus, [0.4], limit)
+        servo_bus.close()
         bus.log.clear()
-        chain.open()
-        assert chain.found[0].torque_on
-        assert chain.enabled.all()
-        chain.enable([0.4], limit)
-        chain.read()
+        servo_bus.open()
+        assert servo_bus.found[0].torque_on
+        assert servo_bus.enabled.all()
+        servo_bus.enable([0.4], limit)
+        servo_bus.read()
         assert "torque off" not in bus.log.order(1)
-        assert chain.read().position[0] == pytest.approx(0.4, abs=0.05)
+        assert servo_bus.read().position[0] == pytest.approx(0.4, abs=0.05)
 
 
 def test_limits_of_the_joint_bound_its_goals(emulated, enabled):
     for kind in ("sts", "xm"):
-        with emulated(kind, 1, clock="steps", spec={"lower": -0.3, "upper": 0.2}) as (bus, chain):
-            limit = enabled(chain)
-            assert settle(bus, chain, [5.0], limit).position[0] < 0.25
-            assert settle(bus, chain, [-5.0], limit).position[0] > -0.35
+        with emulated(kind, 1, clock="steps", spec={"lower": -0.3, "upper": 0.2}) as (
+            bus,
+            servo_bus,
+        ):
+            limit = enabled(servo_bus)
+            assert settle(bus, servo_bus, [5.0], limit).position[0] < 0.25
+            assert settle(bus, servo_bus, [-5.0], limit).position[0] > -0.35
 
 
 def test_sign_gear_and_zero(emulated, enabled):
     spec = {"sign": -1, "gear_ratio": 2.0, "zero": 1500.0}
-    with emulated("sts", 1, clock="steps", spec=spec) as (bus, chain):
+    with emulated("sts", 1, clock="steps", spec=spec) as (bus, servo_bus):
         servo = bus.servos[0]
         raw = servo.shaft.angle / servo.model.count
         expected = -(raw - 1500.0) * servo.model.count / 2.0
-        assert chain.read().position[0] == pytest.approx(expected, abs=2e-3)
-        limit = enabled(chain)
-        moved = settle(bus, chain, [expected + 0.2], limit)
+        assert servo_bus.read().position[0] == pytest.approx(expected, abs=2e-3)
+        limit = enabled(servo_bus)
+        motion = settle(bus, servo_bus, [expected + 0.2], limit)
         assert servo.shaft.angle / servo.model.count < raw - 200
-        assert moved.position[0] == pytest.approx(expected + 0.2, abs=0.05)
+        assert motion.position[0] == pytest.approx(expected + 0.2, abs=0.05)
 
 
 @pytest.mark.parametrize("bad", [[np.nan], [np.inf], [0.1, 0.2], [-1.0]])
 def test_bad_input_sends_nothing(emulated, enabled, bad):
-    with emulated("sts", 1, clock="steps") as (bus, chain):
-        enabled(chain)
-        chain.read()
+    with emulated("sts", 1, clock="steps") as (bus, servo_bus):
+        enabled(servo_bus)
+        servo_bus.read()
         before = bus.log.count
         with pytest.raises((ConfigError, ShapeError)):
-            chain.write([0.0], bad)
+            servo_bus.write([0.0], bad)
         with pytest.raises((ConfigError, ShapeError)):
-            chain.enable([0.0], bad)
+            servo_bus.enable([0.0], bad)
         assert bus.log.count == before
 
 
 def test_torque_and_speed_are_reported(emulated, enabled):
-    with emulated("xm", 1, clock="steps") as (bus, chain):
-        limit = enabled(chain)
+    with emulated("xm", 1, clock="steps") as (bus, servo_bus):
+        limit = enabled(servo_bus)
         bus.servos[0].load.torque = -1.0
-        sample = settle(bus, chain, [0.0], limit, seconds=2.0)
+        sample = settle(bus, servo_bus, [0.0], limit, seconds=2.0)
         assert sample.load[0] == pytest.approx(1.0, abs=0.25)
         assert sample.current[0] == pytest.approx(sample.load[0] / 1.78, rel=0.02)
-        chain.write([0.8], limit)
+        servo_bus.write([0.8], limit)
         bus.advance(0.15)
-        assert chain.read().velocity[0] > 0.3
+        assert servo_bus.read().velocity[0] > 0.3
 
 
 def test_a_speed_cap_slows_the_joint(emulated, enabled):
-    with emulated("sts", 1, clock="steps") as (bus, chain):
-        limit = enabled(chain)
-        chain.write([0.8], limit, velocity=[0.2])
+    with emulated("sts", 1, clock="steps") as (bus, servo_bus):
+        limit = enabled(servo_bus)
+        servo_bus.write([0.8], limit, velocity=[0.2])
         bus.advance(1.0)
-        assert chain.read().position[0] == pytest.approx(0.2, abs=0.06)
+        assert servo_bus.read().position[0] == pytest.approx(0.2, abs=0.06)
 
 
 def test_families_share_a_port_and_ports_an_arm(enabled):
@@ -204,22 +207,24 @@ def test_families_share_a_port_and_ports_an_arm(enabled):
         Device("XM540-W270", id=2, port="b", operating_mode=5, return_delay_time=0),
     ]
     with Emulator(parts, clock="steps") as bus:
-        one, two = bus.ports["main"], bus.ports["b"]
+        main_port, second_port = bus.ports["main"], bus.ports["b"]
         bounds = {"lower": -1.0, "upper": 1.0}
         specs = [
-            ServoSpec(name="pan", model="MX-64", id=1, port=one, **bounds),
-            ServoSpec(name="lift", model="XM540-W270", id=1, port=two, secondary=(2, -1), **bounds),
-            ServoSpec(name="wrist", model="STS3215-7.4V", id=2, port=one, **bounds),
+            ServoSpec(name="pan", model="MX-64", id=1, port=main_port, **bounds),
+            ServoSpec(
+                name="lift", model="XM540-W270", id=1, port=second_port, secondary=(2, -1), **bounds
+            ),
+            ServoSpec(name="wrist", model="STS3215-7.4V", id=2, port=main_port, **bounds),
         ]
-        with ServoBus(specs, reply_timeout_min=0.1, clock=ManualClock(bus)) as chain:
-            limit = enabled(chain)
+        with ServoBus(specs, reply_timeout_min=0.1, clock=ManualClock(bus)) as servo_bus:
+            limit = enabled(servo_bus)
             goal = np.array([0.2, 0.3, -0.1])
-            sample = settle(bus, chain, goal, limit)
+            sample = settle(bus, servo_bus, goal, limit)
             assert sample.position == pytest.approx(goal, abs=0.05)
             first, second = bus.servos[2], bus.servos[3]
             assert first.shaft.angle + second.shaft.angle == pytest.approx(2 * np.pi, abs=0.02)
-            assert chain.servos.limit_type == "current"
-            assert chain.servos.max_torque[1] == pytest.approx(21.2)
+            assert servo_bus.servos.limit_type == "current"
+            assert servo_bus.servos.max_torque[1] == pytest.approx(21.2)
 
 
 def test_protocols_1_and_2_on_one_port_are_refused():
@@ -254,9 +259,9 @@ def test_a_patience_that_a_silent_bus_would_outlast_is_refused(patience):
 
 
 def test_a_bus_that_is_not_open_raises():
-    chain = ServoBus([ServoSpec(name="pan", model="MX-64", id=1, port="p")])
-    for call in (chain.read, chain.poll_status, chain.identify, chain.disable):
+    servo_bus = ServoBus([ServoSpec(name="pan", model="MX-64", id=1, port="p")])
+    for call in (servo_bus.read, servo_bus.poll_status, servo_bus.identify, servo_bus.disable):
         with pytest.raises(ServoError, match="not open"):
             call()
     with pytest.raises(ConfigError, match="no joint 'lift'; there are: pan"):
-        chain._select(["lift"])
+        servo_bus._select(["lift"])

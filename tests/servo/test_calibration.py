@@ -24,34 +24,34 @@ def lerobot_file(folder, **changes):
     return file
 
 
-def opened(name, folder, **wrong):
-    """Open the calibrated arm of a built-in file with a calibration file changed by `wrong`."""
-    good = config.load(name, backend="emulator", calibration=lerobot_file(folder))
-    theirs = config.load(name, backend="emulator", calibration=lerobot_file(folder, **wrong))
-    with make_emulator(good, clock="steps") as bus:
+def open_bus(name, folder, **changes):
+    """Open the calibrated arm of a built-in file with a calibration file changed by `changes`."""
+    matching = config.load(name, backend="emulator", calibration=lerobot_file(folder))
+    changed = config.load(name, backend="emulator", calibration=lerobot_file(folder, **changes))
+    with make_emulator(matching, clock="steps") as bus:
         before = bus.log.order(1)
-        chain = ServoBus(
-            factory.servo_specs(theirs, bus.ports), reply_timeout_min=0.5, clock=ManualClock(bus)
+        servo_bus = ServoBus(
+            factory.servo_specs(changed, bus.ports), reply_timeout_min=0.5, clock=ManualClock(bus)
         )
         try:
-            chain.open()
-            return [note for found in chain.found for note in found.notes], chain
+            servo_bus.open()
+            return [note for servo in servo_bus.found for note in servo.notes], servo_bus
         finally:
-            chain.close()
+            servo_bus.close()
             assert bus.log.order(1) == before, "nothing was written"
             assert not bus.log.eeprom_writes()
 
 
 @pytest.mark.parametrize("name", ["so101", "koch"])
 def test_a_file_that_lerobot_wrote_passes(name, tmp_path):
-    notes, chain = opened(name, tmp_path)
-    assert chain.found
+    notes, servo_bus = open_bus(name, tmp_path)
+    assert servo_bus.found
     assert not [note for note in notes if "calibration" in note]
 
 
 @pytest.mark.parametrize("name", ["so101", "koch"])
 @pytest.mark.parametrize(
-    ("entry", "said"),
+    ("entry", "message"),
     [
         ({"homing_offset": -1200}, r"elbow_flex .*homing_offset -1200, the servo 0: .*off by 105°"),
         ({"homing_offset": 1}, r"homing_offset 1, the servo 0: its zero would be off by 0.0879°"),
@@ -59,26 +59,26 @@ def test_a_file_that_lerobot_wrote_passes(name, tmp_path):
         ({"range_max": 3000}, r"range_max 3000, the servo 3330: its zero would be off by 14.5°"),
     ],
 )
-def test_a_file_of_another_arm_is_refused_with_the_angle(name, entry, said, tmp_path):
-    with pytest.raises(pliant.ServoError, match=said) as caught:
-        opened(name, tmp_path, elbow_flex=entry)
-    assert "lerobot-calibrate" in str(caught.value)
-    assert "shoulder_pan" not in str(caught.value)
+def test_a_file_of_another_arm_is_refused_with_the_angle(name, entry, message, tmp_path):
+    with pytest.raises(pliant.ServoError, match=message) as error:
+        open_bus(name, tmp_path, elbow_flex=entry)
+    assert "lerobot-calibrate" in str(error.value)
+    assert "shoulder_pan" not in str(error.value)
 
 
 def test_every_joint_that_differs_is_named(tmp_path):
-    moved = {joint: {"homing_offset": 900} for joint in JOINTS}
-    with pytest.raises(pliant.ServoError) as caught:
-        opened("so101", tmp_path, **moved)
+    changes = {joint: {"homing_offset": 900} for joint in JOINTS}
+    with pytest.raises(pliant.ServoError) as error:
+        open_bus("so101", tmp_path, **changes)
     for joint in JOINTS:
-        assert f"{joint} (id" in str(caught.value)
+        assert f"{joint} (id" in str(error.value)
 
 
-def test_a_direction_that_the_servo_has_not_is_refused_and_one_of_lerobots_own_is_said(tmp_path):
-    turned = {"wrist_flex": {"drive_mode": 1}}
+def test_an_impossible_direction_is_refused_and_one_of_lerobot_is_noted(tmp_path):
+    changes = {"wrist_flex": {"drive_mode": 1}}
     with pytest.raises(pliant.ServoError, match=r"drive_mode 1, the servo 0: it counts in"):
-        opened("koch", tmp_path, **turned)
-    notes, _ = opened("so101", tmp_path, **turned)
+        open_bus("koch", tmp_path, **changes)
+    notes, _ = open_bus("so101", tmp_path, **changes)
     assert len([note for note in notes if "drive_mode 1" in note and "`sign`" in note]) == 1
 
 
@@ -88,40 +88,48 @@ def test_a_joint_with_a_zero_of_its_own_needs_no_file(tmp_path):
         for i, joint in enumerate(JOINTS[:5], 1)
     )
     file = lerobot_file(tmp_path)
-    read = config.parse(f'calibration = "{file.name}"\n{text}', folder=tmp_path)
-    assert {spec.calibration for spec in factory.servo_specs(read, {"main": "/dev/none"})} == {None}
+    arm_config = config.parse(f'calibration = "{file.name}"\n{text}', folder=tmp_path)
+    assert {
+        spec.calibration for spec in factory.servo_specs(arm_config, {"main": "/dev/none"})
+    } == {None}
 
 
 def test_doctor_reports_each_joint(tmp_path, monkeypatch):
-    bare = config.load("so101", backend="emulator")
-    read = config.load("so101", calibration=lerobot_file(tmp_path))
-    with emulate(bare.model(), make_mounts(bare), [0.0] * 5, held=True) as bus:
-        wired = config.load("so101", calibration=read.calibration, port=bus.ports["main"])
-        bad = [finding.text for finding in examine(wired) if finding.level == "bad"]
-    said = [text for text in bad if "homing_offset" in text]
+    uncalibrated = config.load("so101", backend="emulator")
+    arm_config = config.load("so101", calibration=lerobot_file(tmp_path))
+    with emulate(uncalibrated.model(), make_mounts(uncalibrated), [0.0] * 5, held=True) as bus:
+        wired = config.load("so101", calibration=arm_config.calibration, port=bus.ports["main"])
+        problems = [finding.text for finding in examine(wired) if finding.level == "bad"]
+    offsets = [text for text in problems if "homing_offset" in text]
     # One error per joint, except the third, whose offset in the file is 0 as in a new servo.
-    assert len(said) == 5
-    assert any("shoulder_pan" in text and "off by 17.6°" in text for text in said)
+    assert len(offsets) == 5
+    assert any("shoulder_pan" in text and "off by 17.6°" in text for text in offsets)
 
 
 @pytest.mark.parametrize(("sign", "closed"), [(1, 2000), (-1, 3100)])
 def test_a_calibrated_gripper_closes_at_the_end_of_its_range(sign, closed, tmp_path):
-    ready = (Path(config.__file__).parent / "arms" / "so101.toml").read_text("utf-8")
-    turned = ready.replace("id = 6, gain = 16 }", f"id = 6, gain = 16, sign = {sign} }}")
+    text = (Path(config.__file__).parent / "arms" / "so101.toml").read_text("utf-8")
+    changed_text = text.replace("id = 6, gain = 16 }", f"id = 6, gain = 16, sign = {sign} }}")
     file = tmp_path / "arm.toml"
-    file.write_text(turned, "utf-8")
+    file.write_text(changed_text, "utf-8")
     calibration = lerobot_file(tmp_path, gripper={"range_min": 2000, "range_max": 3100})
-    own = config.load(file, backend="emulator", calibration=calibration)
-    (jaw,) = factory.gripper_configs(own).values()
+    arm_config = config.load(file, backend="emulator", calibration=calibration)
+    (jaw,) = factory.gripper_configs(arm_config).values()
     assert jaw.closed == 0.0
     assert jaw.opened == pytest.approx(1100 * 2.0 * np.pi / 4096)
-    with make_emulator(own, clock="steps") as bus:
+    with make_emulator(arm_config, clock="steps") as bus:
         drive = ServoBus(
-            factory.servo_specs(own, bus.ports), reply_timeout_min=0.5, clock=ManualClock(bus)
+            factory.servo_specs(arm_config, bus.ports),
+            reply_timeout_min=0.5,
+            clock=ManualClock(bus),
         )
-        grippers = factory.gripper_configs(own)
+        grippers = factory.gripper_configs(arm_config)
         with pliant.Arm(
-            own.model(), drive, grippers=grippers, handle_signals=False, on_exit="leave_enabled"
+            arm_config.model(),
+            drive,
+            grippers=grippers,
+            handle_signals=False,
+            on_exit="leave_enabled",
         ) as arm:
             for move, count in ((arm.gripper.close, closed), (arm.gripper.open, 5100 - closed)):
                 move()

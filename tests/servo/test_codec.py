@@ -1,4 +1,4 @@
-"""`ServoCodec` against the conversions of `Units`, and its check of positions."""
+"""`ServoCodec` compared with the conversions of `Units`, and its check of positions."""
 
 import math
 from math import floor, pi
@@ -15,10 +15,10 @@ MODELS = list_models()
 
 
 def device(model="STS3215-12V", **options):
-    made = Device(ServoSpec(name="pan", model=model, id=1, port="a", **options), 0, 1, 1)
-    made.units = made.units.of(made.spec)
-    made.attach(ServoCodec(1, 1), 0)
-    return made
+    servo = Device(ServoSpec(name="pan", model=model, id=1, port="a", **options), 0, 1, 1)
+    servo.units = servo.units.of(servo.spec)
+    servo.attach(ServoCodec(1, 1), 0)
+    return servo
 
 
 def encode(servo, goal, limit, speed, max_speed=math.inf):
@@ -37,11 +37,11 @@ def test_joint_values_are_those_of_the_units(model):
     servo = device(model, sign=-1, zero=300.0, gear_ratio=1.5, torque_offset=0.02)
     units, row = servo.units, servo.row
     measured = "current" if row.limit_type == "current" else "load"
-    signed = servo.family.registers["speed"].sign != "unsigned"
+    has_sign = servo.family.registers["speed"].sign != "unsigned"
     rng = np.random.default_rng(0)
     for time in range(50):
         position, speed, load = 200 + int(rng.integers(300)), *rng.integers(-90, 90, 2).tolist()
-        if not signed:
+        if not has_sign:
             speed, load = abs(speed), abs(load)
         servo.accept_any_position()
         assert servo.accept(
@@ -101,25 +101,27 @@ def test_readings_of_a_group_are_those_of_single_servos():
         servo.attach(codec, i)
     block = group[0].family.read[0]
     results = set()
-    for turn in range(200):
-        time = 0.01 * turn + (0.5 if turn > 100 else 0.0)
+    for cycle in range(200):
+        time = 0.01 * cycle + (0.5 if cycle > 100 else 0.0)
         positions = 2000 + rng.integers(5, size=3) + (rng.random(3) < 0.1) * 1000
-        rows = [reply(single[0], time, position=int(p), voltage=70 + turn // 50) for p in positions]
+        rows = [
+            reply(single[0], time, position=int(p), voltage=70 + cycle // 50) for p in positions
+        ]
         answers = [(row.data, int(rng.random() < 0.05)) for row in rows]
         ages = [time - servo.time for servo in single]
         expected = []
         for i, (servo, (data, status)) in enumerate(zip(single, answers, strict=True)):
-            found = None
+            reading = None
             if ages[i] <= 0.1:
                 rows = servo.codec.decode([0], [(data, status)], block.address, time, math.inf)
                 if not rows:
                     continue
-                found = rows[0][1]
-            expected.append((i, found))
+                reading = rows[0][1]
+            expected.append((i, reading))
         assert codec.decode([0, 1, 2], answers, block.address, time, 0.1) == expected
-        results.update(found for _, found in expected)
-        for i, found in expected:
-            if found is None:
+        results.update(reading for _, reading in expected)
+        for i, reading in expected:
+            if reading is None:
                 for servo in (single[i], group[i]):
                     servo.accept(Reply(block, *answers[i], time))
         assert [servo.position for servo in group] == [servo.position for servo in single]
@@ -147,8 +149,8 @@ def test_arguments_that_do_not_fit():
         servo.codec.encode([1], [0.0], [0.0], None, 0.0)
     with pytest.raises(ShapeError, match="limit has shape"):
         servo.codec.encode([0], [0.0], [0.0, 0.0], None, 0.0)
-    for wrong in ((math.nan, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0), (0.0, 0.0, math.nan)):
+    for command in ((math.nan, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0), (0.0, 0.0, math.nan)):
         with pytest.raises(OutOfRangeError, match="command"):
-            encode(servo, *wrong)
+            encode(servo, *command)
     with pytest.raises(ShapeError, match="position"):
         servo.codec.decode([0], [(b"\0" * 15, 0)], 200, 0.0, math.inf)

@@ -10,10 +10,10 @@ from tests.servo.conftest import JOINTS, devices
 
 KINDS = ["sts", "xm", "xl430", "ex", "rx", "mx"]
 #: Distance between old goals and present positions [counts], 44° with 4096 counts per turn.
-OFF = 500
+GOAL_ERROR = 500
 
 
-def chain_on(bus, kind, n, patience=0.005):
+def servo_bus_on(bus, kind, n, patience=0.005):
     specs = [
         ServoSpec(
             name=f"joint{i}", model=JOINTS[kind][1], id=i + 1, port=bus.port, lower=-1.0, upper=1.0
@@ -23,8 +23,8 @@ def chain_on(bus, kind, n, patience=0.005):
     return ServoBus(specs, reply_timeout_min=patience, clock=ManualClock(bus))
 
 
-def strike(bus, fault, place):
-    """Apply `fault` to the request number `place`, counted from 1; return the request count.
+def fault_request(bus, fault, index):
+    """Apply `fault` to the request number `index`, counted from 1; return the request count.
 
     The count is a list of one number, which grows with each request.
     """
@@ -32,39 +32,39 @@ def strike(bus, fault, place):
 
     def chance():
         count[0] += 1
-        return fault if count[0] == place else None
+        return fault if count[0] == index else None
 
     line.faults.chance = chance
     return count
 
 
-def enable_with_old_goals(kind, fault, place):
+def enable_with_old_goals(kind, fault, index):
     """Enable servos that have old goals; return their largest motion [rad] and request count.
 
     The motion is measured until one second after torque on.
     """
-    with Emulator(devices(kind, 2), clock="steps") as bus, chain_on(bus, kind, 2) as chain:
+    with Emulator(devices(kind, 2), clock="steps") as bus, servo_bus_on(bus, kind, 2) as servo_bus:
         for servo in bus.servos:
-            servo.put("goal_position", servo.position - OFF if kind != "rx" else 100)
+            servo.put("goal_position", servo.position - GOAL_ERROR if kind != "rx" else 100)
             speeds = {"moving_speed", "profile_velocity", "goal_velocity"}
             for name in speeds & {register.name for register in servo.table}:
                 servo.put(name, 0)
         start = np.array([servo.shaft.angle for servo in bus.servos])
-        goal = chain.read().position
-        count = strike(bus, fault, place)
-        ways = []
+        goal = servo_bus.read().position
+        count = fault_request(bus, fault, index)
+        distances = []
         try:
-            chain.enable(goal, 0.5 * chain.servos.max_torque)
+            servo_bus.enable(goal, 0.5 * servo_bus.servos.max_torque)
         except ServoError:
             assert not any(servo.enabled for servo in bus.servos)
         requests = count[0]
         for _ in range(10):
             bus.advance(0.02)
-            ways.append(
+            distances.append(
                 max(abs(servo.shaft.angle - start[i]) for i, servo in enumerate(bus.servos))
             )
         assert not bus.log.eeprom_writes()
-        return max(ways), requests
+        return max(distances), requests
 
 
 @pytest.mark.parametrize("fault", ["deaf", pytest.param("lose", marks=pytest.mark.full)])
@@ -72,34 +72,34 @@ def enable_with_old_goals(kind, fault, place):
 def test_no_single_lost_packet_switches_torque_on_with_an_old_goal(kind, fault):
     _, requests = enable_with_old_goals(kind, fault, 0)
     assert requests > 10
-    for place in range(1, requests + 1):
-        way, _ = enable_with_old_goals(kind, fault, place)
-        assert way < 0.005, f"request {place} of {requests}"
+    for index in range(1, requests + 1):
+        distance, _ = enable_with_old_goals(kind, fault, index)
+        assert distance < 0.005, f"request {index} of {requests}"
 
 
 @pytest.mark.parametrize("kind", ["sts", "xm", "mx"])
-def test_torque_that_could_not_be_taken_back_is_said(kind):
+def test_torque_that_could_not_be_switched_off_again_is_reported(kind):
     """All packets are lost after the first servo has switched its torque on."""
-    with Emulator(devices(kind, 2), clock="steps") as bus, chain_on(bus, kind, 2) as chain:
-        goal, faults = chain.read().position, bus.lines["main"].faults
+    with Emulator(devices(kind, 2), clock="steps") as bus, servo_bus_on(bus, kind, 2) as servo_bus:
+        goal, faults = servo_bus.read().position, bus.lines["main"].faults
         # Before that, no servo has torque, and silence gives another message.
         faults.chance = lambda: "deaf"
         with pytest.raises(ServoError, match=r"\A(?!.*may still be on)"):
-            chain.enable(goal, 0.5 * chain.servos.max_torque)
+            servo_bus.enable(goal, 0.5 * servo_bus.servos.max_torque)
         faults.chance = lambda: "deaf" if any(servo.enabled for servo in bus.servos) else None
         with pytest.raises(
             ServoError, match=r"(?s)torque may still be on: .*cut the supply"
-        ) as told:
-            chain.enable(goal, 0.5 * chain.servos.max_torque)
+        ) as error:
+            servo_bus.enable(goal, 0.5 * servo_bus.servos.max_torque)
         assert bus.servos[0].enabled
-        assert "joint0 did not confirm torque_enable = 0" in str(told.value)
+        assert "joint0 did not confirm torque_enable = 0" in str(error.value)
 
 
 @pytest.mark.parametrize("kind", ["sts", "xm"])
 def test_a_failure_while_torque_comes_on_says_that_the_arm_falls(kind, monkeypatch):
     """The line fails once the first servo has torque, until torque is switched off again."""
-    with Emulator(devices(kind, 2), clock="steps") as bus, chain_on(bus, kind, 2) as chain:
-        goal, faults = chain.read().position, bus.lines["main"].faults
+    with Emulator(devices(kind, 2), clock="steps") as bus, servo_bus_on(bus, kind, 2) as servo_bus:
+        goal, faults = servo_bus.read().position, bus.lines["main"].faults
         faults.chance = lambda: "deaf" if any(servo.enabled for servo in bus.servos) else None
         switch_off = _enable._try_off
 
@@ -109,11 +109,11 @@ def test_a_failure_while_torque_comes_on_says_that_the_arm_falls(kind, monkeypat
 
         monkeypatch.setattr(_enable, "_try_off", mended)
         with pytest.raises(ServoError, match=r"\ntorque is OFF again in all joints.*falls"):
-            chain.enable(goal, 0.5 * chain.servos.max_torque)
+            servo_bus.enable(goal, 0.5 * servo_bus.servos.max_torque)
         bus.sync()
         assert len(bus.log.writes("torque_enable")) >= 2
         assert not any(servo.enabled for servo in bus.servos)
-        assert not (chain.enabled | chain.torque_unknown | chain.unrestored).any()
+        assert not (servo_bus.enabled | servo_bus.torque_unknown | servo_bus.unrestored).any()
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -152,7 +152,7 @@ def test_first_goals_lead_by_what_carries_the_weight(kind):
 @pytest.mark.parametrize("kind", ["sts", "xm"])
 def test_few_requests_while_an_arm_hangs_on_servos_without_feedback(kind):
     """An arm with a load falls until the first goal that answers its motion."""
-    with Emulator(devices(kind, 6), clock="steps") as bus, chain_on(bus, kind, 6) as chain:
+    with Emulator(devices(kind, 6), clock="steps") as bus, servo_bus_on(bus, kind, 6) as chain:
         goal, requests, line = chain.read().position, [], bus.lines["main"].faults
 
         def chance():
@@ -174,27 +174,27 @@ def registers(servo):
         "bus_watchdog", "cw_compliance_margin", "ccw_compliance_margin", "ccw_compliance_slope",
         "punch",
     ]  # fmt: skip
-    there = {register.name for register in servo.table}
-    return {name: servo.get(name) for name in names if name in there}
+    available = {register.name for register in servo.table}
+    return {name: servo.get(name) for name in names if name in available}
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_registers_are_handed_back_as_they_were_found(emulated, enabled, kind):
-    with emulated(kind, 2, clock="steps", is_open=False) as (bus, chain):
+    with emulated(kind, 2, clock="steps", is_open=False) as (bus, servo_bus):
         for servo in bus.servos:
             for name, value in registers(servo).items():
                 servo.put(name, value - 7 if name in {"torque_limit", "goal_current"} else 3)
         before = [registers(servo) for servo in bus.servos]
-        chain.open()
+        servo_bus.open()
         for _ in range(2):
-            limit = enabled(chain)
-            chain.watchdog(0.2)
+            limit = enabled(servo_bus)
+            servo_bus.watchdog(0.2)
             for k in range(5):
-                chain.read()
-                chain.write([0.01 * k, 0.0], 0.01 * limit, velocity=[0.1, 0.1])
+                servo_bus.read()
+                servo_bus.write([0.01 * k, 0.0], 0.01 * limit, velocity=[0.1, 0.1])
                 bus.advance(0.01)
             assert [registers(servo) for servo in bus.servos] != before
-            chain.disable()
+            servo_bus.disable()
             bus.sync()
             assert [registers(servo) for servo in bus.servos] == before
         assert not bus.log.eeprom_writes()
@@ -202,15 +202,15 @@ def test_registers_are_handed_back_as_they_were_found(emulated, enabled, kind):
 
 @pytest.mark.parametrize("kind", ["sts", "xm", "mx"])
 def test_limits_that_a_killed_program_left_are_not_handed_back(emulated, enabled, kind):
-    with emulated(kind, 1, clock="steps") as (bus, chain):
+    with emulated(kind, 1, clock="steps") as (bus, servo_bus):
         name = {"sts": "torque_limit", "xm": "goal_current", "mx": "torque_limit"}[kind]
         full = bus.servos[0].get(name)
-        limit = enabled(chain)
-        chain.write([0.0], 0.01 * limit, velocity=[0.1])
-        chain.close()  # the torque stays on, as after a killed program
-        chain.open()
-        enabled(chain)
-        chain.disable()
+        limit = enabled(servo_bus)
+        servo_bus.write([0.0], 0.01 * limit, velocity=[0.1])
+        servo_bus.close()  # the torque stays on, as after a killed program
+        servo_bus.open()
+        enabled(servo_bus)
+        servo_bus.disable()
         bus.sync()
         assert bus.servos[0].get(name) == full
 
@@ -223,33 +223,35 @@ def test_lerobot_moves_an_arm_after_pliant_as_before(emulated, enabled):
             servo.write(40, bytes([1]))
             servo.write(42, goal.to_bytes(2, "little"))
         bus.advance(1.5)
-        places = [servo.position for servo in bus.servos]
+        positions = [servo.position for servo in bus.servos]
         for servo in bus.servos:
             servo.write(40, bytes([0]))
-        return places
+        return positions
 
-    with emulated("sts", 2, clock="steps") as (bus, chain):
+    with emulated("sts", 2, clock="steps") as (bus, servo_bus):
         for servo in bus.servos:
             servo.load.torque = -0.5
         before = lerobot(bus, 2300)
         lerobot(bus, 2048)
-        enabled(chain)
-        chain.write([0.0, 0.0], [0.002, 0.002], velocity=[0.01, 0.01])
-        chain.read()
-        chain.disable()
+        enabled(servo_bus)
+        servo_bus.write([0.0, 0.0], [0.002, 0.002], velocity=[0.01, 0.01])
+        servo_bus.read()
+        servo_bus.disable()
         for servo in bus.servos:
             servo.shaft.angle = 2048 * servo.model.count
         assert lerobot(bus, 2300) == pytest.approx(before, abs=2)
 
 
 def test_a_goal_pwm_that_was_left_low_does_not_weaken_a_current_limited_servo(emulated, enabled):
-    with emulated("xm", 1, clock="steps", is_open=False) as (bus, chain):
+    with emulated("xm", 1, clock="steps", is_open=False) as (bus, servo_bus):
         bus.servos[0].put("goal_pwm", 150)
-        chain.open()
-        enabled(chain, share=1.0)
+        servo_bus.open()
+        enabled(servo_bus, share=1.0)
         bus.sync()
-        assert bus.servos[0].drive().ceiling == pytest.approx(chain.servos.max_torque[0], rel=0.01)
-        chain.disable()
+        assert bus.servos[0].drive().ceiling == pytest.approx(
+            servo_bus.servos.max_torque[0], rel=0.01
+        )
+        servo_bus.disable()
         bus.sync()
         assert bus.servos[0].get("goal_pwm") == 150
 
@@ -259,80 +261,94 @@ def test_compliance_that_another_program_left_does_not_weaken_a_servo(
     emulated, enabled, kind, punch
 ):
     """With a compliance margin of 200 counts, a servo would let its joint sag."""
-    left = {
+    registers_left = {
         "cw_compliance_margin": 200,
         "ccw_compliance_margin": 150,
         "ccw_compliance_slope": 254,
         "punch": 900,
     }
-    with emulated(kind, 1, clock="steps", is_open=False) as (bus, chain):
+    with emulated(kind, 1, clock="steps", is_open=False) as (bus, servo_bus):
         (servo,) = bus.servos
-        for name, value in left.items():
+        for name, value in registers_left.items():
             servo.put(name, value)
-        chain.open()
-        enabled(chain, share=1.0)
+        servo_bus.open()
+        enabled(servo_bus, share=1.0)
         bus.sync()
         assert servo.drive().dead == servo.model.count
-        assert [servo.get(name) for name in left] == [1, 1, servo.get("cw_compliance_slope"), punch]
-        chain.disable()
+        assert [servo.get(name) for name in registers_left] == [
+            1,
+            1,
+            servo.get("cw_compliance_slope"),
+            punch,
+        ]
+        servo_bus.disable()
         bus.sync()
-        assert {name: servo.get(name) for name in left} == left
+        assert {name: servo.get(name) for name in registers_left} == registers_left
 
 
 def test_a_pwm_limit_bounds_the_torque_that_is_reported():
     from pliant.emulator import Device
 
     part = Device("XM430-W350", 1, operating_mode=5, return_delay_time=0, pwm_limit=300)
-    with Emulator([part], clock="steps") as bus, chain_on(bus, "xm", 1, patience=0.1) as chain:
-        assert chain.servos.max_torque[0] == pytest.approx(4.1 * 300 / 885, rel=0.01)
-        assert any("PWM Limit" in note and "34%" in note for note in chain.found[0].notes)
-        chain.enable(chain.read().position, chain.servos.max_torque)
+    with (
+        Emulator([part], clock="steps") as bus,
+        servo_bus_on(bus, "xm", 1, patience=0.1) as servo_bus,
+    ):
+        assert servo_bus.servos.max_torque[0] == pytest.approx(4.1 * 300 / 885, rel=0.01)
+        assert any("PWM Limit" in note and "34%" in note for note in servo_bus.found[0].notes)
+        servo_bus.enable(servo_bus.read().position, servo_bus.servos.max_torque)
         bus.sync()
         ceiling = bus.servos[0].drive().ceiling
-        assert ceiling == pytest.approx(chain.servos.max_torque[0], rel=0.01)
+        assert ceiling == pytest.approx(servo_bus.servos.max_torque[0], rel=0.01)
 
 
-@pytest.mark.parametrize("trouble", ["hum", "echo"])
+@pytest.mark.parametrize("disturbance", ["hum", "echo"])
 @pytest.mark.parametrize("kind", ["sts", "xm", "mx"])
-def test_torque_goes_off_on_a_line_that_is_never_silent(enabled, kind, trouble):
-    with Emulator(devices(kind, 3), clock="steps") as bus, chain_on(bus, kind, 3, 0.01) as chain:
-        enabled(chain)
-        getattr(bus, trouble)()
-        # The error says that torque off is not confirmed; with an echo there may be none.
+def test_torque_goes_off_on_a_line_that_is_never_silent(enabled, kind, disturbance):
+    with (
+        Emulator(devices(kind, 3), clock="steps") as bus,
+        servo_bus_on(bus, kind, 3, 0.01) as servo_bus,
+    ):
+        enabled(servo_bus)
+        getattr(bus, disturbance)()
+        # With noise, `disable` fails because torque off is not confirmed; with an echo it may pass.
         failed = False
         try:
-            chain.disable()
+            servo_bus.disable()
         except ServoError:
             failed = True
         bus.sync()
         assert not any(servo.enabled for servo in bus.servos)
-        # Torque that is not confirmed off is unknown, and counts as on.
-        assert chain.torque_unknown.any() is np.bool_(failed)
-        assert np.array_equal(chain.enabled, chain.torque_unknown)
-        assert (chain.unrestored | ~chain.torque_unknown).all()
-        getattr(bus, trouble)(False)
-        chain.disable()
-        assert not (chain.enabled | chain.torque_unknown | chain.unrestored).any()
+        # Torque counts as on until torque off is confirmed.
+        assert servo_bus.torque_unknown.any() is np.bool_(failed)
+        assert np.array_equal(servo_bus.enabled, servo_bus.torque_unknown)
+        assert (servo_bus.unrestored | ~servo_bus.torque_unknown).all()
+        getattr(bus, disturbance)(False)
+        servo_bus.disable()
+        assert not (servo_bus.enabled | servo_bus.torque_unknown | servo_bus.unrestored).any()
 
 
-@pytest.mark.parametrize("trouble", ["hum", "echo"])
+@pytest.mark.parametrize("disturbance", ["hum", "echo"])
 @pytest.mark.parametrize("kind", ["sts", "xm", "mx"])
-def test_a_line_that_is_never_silent_is_reported_at_open(kind, trouble):
+def test_a_line_that_is_never_silent_is_reported_at_open(kind, disturbance):
     # Noise comes every 5 ms, and a fifth of the reply timeout without it counts as silence.
-    with Emulator(devices(kind, 3), clock="steps") as bus, chain_on(bus, kind, 3, 0.05) as chain:
-        chain.close()
-        getattr(bus, trouble)()
-        with pytest.raises(ServoError, match=r"never silent|echo") as caught:
-            chain.open()
-        assert "id of its own" not in str(caught.value)
-        assert "Two servos on one id" not in str(caught.value)
-        getattr(bus, trouble)(False)
-        chain.open()
-        assert chain.read().ok.all()
+    with (
+        Emulator(devices(kind, 3), clock="steps") as bus,
+        servo_bus_on(bus, kind, 3, 0.05) as servo_bus,
+    ):
+        servo_bus.close()
+        getattr(bus, disturbance)()
+        with pytest.raises(ServoError, match=r"never silent|echo") as error:
+            servo_bus.open()
+        assert "id of its own" not in str(error.value)
+        assert "Two servos on one id" not in str(error.value)
+        getattr(bus, disturbance)(False)
+        servo_bus.open()
+        assert servo_bus.read().ok.all()
 
 
 @pytest.mark.parametrize(
-    ("kind", "number", "stays"),
+    ("kind", "number", "expected"),
     [
         ("xm", 1, [True, False]),
         ("xm", 2, [True, True]),
@@ -340,9 +356,7 @@ def test_a_line_that_is_never_silent_is_reported_at_open(kind, trouble):
         ("sts", 1, [True, True]),  # the goal has switched on the second servo
     ],
 )
-def test_a_signal_while_torque_comes_on_does_not_drop_an_arm_that_hangs_on_it(
-    kind, number, stays, monkeypatch
-):
+def test_a_signal_while_torque_comes_on_does_not_drop_the_arm(kind, number, expected, monkeypatch):
     """The signal comes after joint `number` got torque; number 3: while motion is checked."""
     original, count = _enable._set, 0
 
@@ -359,9 +373,9 @@ def test_a_signal_while_torque_comes_on_does_not_drop_an_arm_that_hangs_on_it(
 
     monkeypatch.setattr(_enable, "_set", interrupted)
     monkeypatch.setattr(_enable, "_check_still", check)
-    with Emulator(devices(kind, 2), clock="steps") as bus, chain_on(bus, kind, 2) as chain:
+    with Emulator(devices(kind, 2), clock="steps") as bus, servo_bus_on(bus, kind, 2) as servo_bus:
         with pytest.raises((KeyboardInterrupt, SystemExit)):
-            chain.enable(chain.read().position, 0.5 * chain.servos.max_torque)
-        assert [servo.enabled for servo in bus.servos] == stays
-        chain.disable()
+            servo_bus.enable(servo_bus.read().position, 0.5 * servo_bus.servos.max_torque)
+        assert [servo.enabled for servo in bus.servos] == expected
+        servo_bus.disable()
         assert not any(servo.enabled for servo in bus.servos)

@@ -11,33 +11,33 @@ from tests.servo.conftest import devices
 PROTOCOLS = ["sts", "xm", "mx"]
 
 
-def sweep(bus, chain, limit, ticks, *, speed=1.0):
+def sweep(bus, servo_bus, limit, ticks, *, speed=1.0):
     """Move all joints; yield each sample with the shaft positions at that time."""
     for k in range(ticks):
         truth = np.array([servo.shaft.angle for servo in bus.servos])
-        sample = chain.read()
+        sample = servo_bus.read()
         angle = truth - 2048 * bus.servos[0].model.count
         yield sample, angle
-        goal = 0.8 * np.sin(0.01 * k * speed * np.arange(1, chain.n + 1))
-        chain.write(goal, limit)
-        chain.poll_status()
+        goal = 0.8 * np.sin(0.01 * k * speed * np.arange(1, servo_bus.n + 1))
+        servo_bus.write(goal, limit)
+        servo_bus.poll_status()
         bus.advance(0.01)
 
 
 @pytest.mark.parametrize("fault", ["lose", "corrupt", "truncate", "wrong_id", "noise", "deaf"])
 @pytest.mark.parametrize("kind", PROTOCOLS)
 def test_one_fault_costs_a_retry_and_no_sample(emulated, enabled, kind, fault):
-    with emulated(kind, 3, clock="steps") as (bus, chain):
-        limit = enabled(chain)
-        for _ in sweep(bus, chain, limit, 20):
+    with emulated(kind, 3, clock="steps") as (bus, servo_bus):
+        limit = enabled(servo_bus)
+        for _ in sweep(bus, servo_bus, limit, 20):
             pass
         bus.faults.inject(fault, 2)
         truth = np.array([servo.shaft.angle for servo in bus.servos])
-        sample = chain.read()
+        sample = servo_bus.read()
         assert sample.ok.all()
         angle = truth - 2048 * bus.servos[0].model.count
         assert sample.position == pytest.approx(angle, abs=0.003)
-        counters = chain.counters
+        counters = servo_bus.counters
         assert counters["retries"] >= 1
         assert counters["drains"] >= 1
         assert counters["timeouts"] + counters["corrupt"] >= 1
@@ -45,84 +45,84 @@ def test_one_fault_costs_a_retry_and_no_sample(emulated, enabled, kind, fault):
 
 @pytest.mark.parametrize("kind", PROTOCOLS)
 def test_late_answers_are_never_taken_for_new_ones(emulated, enabled, kind):
-    with emulated(kind, 3, clock="steps") as (bus, chain):
-        limit = enabled(chain)
-        worst, good = 0.0, 0
-        for k, (sample, truth) in enumerate(sweep(bus, chain, limit, 60)):
+    with emulated(kind, 3, clock="steps") as (bus, servo_bus):
+        limit = enabled(servo_bus)
+        worst, valid = 0.0, 0
+        for k, (sample, truth) in enumerate(sweep(bus, servo_bus, limit, 60)):
             if sample.ok.any():
                 worst = max(worst, np.abs(sample.position - truth)[sample.ok].max())
-                good += 1
+                valid += 1
             if k % 4 == 1:
                 bus.faults.inject("late", 1 + k % 3, count=1 + k % 2)
         # A sample that is one tick old would be wrong by up to 0.8 * 3 * 0.01 = 0.024 rad.
         assert worst < 0.003
-        assert good > 40
-        assert chain.counters["timeouts"] > 5
+        assert valid > 40
+        assert servo_bus.counters["timeouts"] > 5
 
 
 @pytest.mark.parametrize("kind", PROTOCOLS)
 def test_a_dead_servo_does_not_silence_the_others(emulated, enabled, kind):
-    with emulated(kind, 4, clock="steps") as (bus, chain):
-        limit = enabled(chain)
-        for _ in sweep(bus, chain, limit, 5):
+    with emulated(kind, 4, clock="steps") as (bus, servo_bus):
+        limit = enabled(servo_bus)
+        for _ in sweep(bus, servo_bus, limit, 5):
             pass
         bus.unplug(2)
         others = np.array([True, False, True, True])
-        seen = [sample.ok for sample, _ in sweep(bus, chain, limit, 12)]
-        assert all((ok == others).all() for ok in seen)
+        ok_by_tick = [sample.ok for sample, _ in sweep(bus, servo_bus, limit, 12)]
+        assert all((ok == others).all() for ok in ok_by_tick)
         bus.plug(2)
         bus.advance(0.5)
-        seen = [sample.ok for sample, _ in sweep(bus, chain, limit, 12)]
-        assert seen[-1].all()
+        ok_by_tick = [sample.ok for sample, _ in sweep(bus, servo_bus, limit, 12)]
+        assert ok_by_tick[-1].all()
 
 
 def test_a_dead_servo_is_not_asked_in_every_cycle(emulated, enabled):
-    with emulated("sts", 3, clock="steps") as (bus, chain):
-        enabled(chain)
+    with emulated("sts", 3, clock="steps") as (bus, servo_bus):
+        enabled(servo_bus)
         bus.unplug(3)
         for _ in range(3):
-            chain.read()
-        before = chain.counters["timeouts"]
+            servo_bus.read()
+        before = servo_bus.counters["timeouts"]
         for _ in range(16):
-            chain.read()
-        assert chain.counters["timeouts"] - before <= 3
+            servo_bus.read()
+        assert servo_bus.counters["timeouts"] - before <= 3
 
 
 def test_a_servo_that_lost_its_torque_is_noticed(emulated, enabled):
     for kind in PROTOCOLS:
-        with emulated(kind, 2, clock="steps") as (bus, chain):
-            enabled(chain)
+        with emulated(kind, 2, clock="steps") as (bus, servo_bus):
+            enabled(servo_bus)
             bus.reboot(1)
             bus.advance(0.5)
-            found = []
+            faults = []
             for _ in range(30):
-                chain.read()
-                found += getattr(chain.poll_status(), "faults", ())
-            assert any("joint0: its torque went off by itself" in text for text in found)
-            assert not any("joint1" in text for text in found)
+                servo_bus.read()
+                faults += getattr(servo_bus.poll_status(), "faults", ())
+            assert any("joint0: its torque went off by itself" in text for text in faults)
+            assert not any("joint1" in text for text in faults)
 
 
 @pytest.mark.parametrize("kind", PROTOCOLS)
 def test_torque_that_went_off_is_noticed_within_a_few_ticks(emulated, enabled, kind):
-    with emulated(kind, 6, clock="steps") as (bus, chain):
-        limit = enabled(chain)
-        for place in (6, 3):
-            for k in range(12 + place):
-                chain.read()
-                chain.write(np.full(6, 0.001 * k), limit)
-                chain.poll_status()
+    with emulated(kind, 6, clock="steps") as (bus, servo_bus):
+        limit = enabled(servo_bus)
+        for index in (6, 3):
+            for k in range(12 + index):
+                servo_bus.read()
+                servo_bus.write(np.full(6, 0.001 * k), limit)
+                servo_bus.poll_status()
                 bus.advance(0.01)
-            bus.servo(place).put("torque_enable", 0)
+            bus.servo(index).put("torque_enable", 0)
             bus.log.clear()
-            said = ""
+            message = ""
             # Protocol 1.0 and Feetech poll all servos within six ticks.
             for _ in range(4 if kind == "xm" else 6):
-                chain.read()
-                said += str(chain.poll_status())
+                servo_bus.read()
+                message += str(servo_bus.poll_status())
                 bus.advance(0.01)
-            assert f"joint{place - 1}: its torque went off" in said
-            bus.servo(place).put("torque_enable", 1)
-            enabled(chain)
+            assert f"joint{index - 1}: its torque went off" in message
+            bus.servo(index).put("torque_enable", 1)
+            enabled(servo_bus)
 
 
 def test_one_port_unplugged_leaves_the_other_to_be_brought_down(enabled):
@@ -135,314 +135,314 @@ def test_one_port_unplugged_leaves_the_other_to_be_brought_down(enabled):
             )
             for i, port in enumerate(ports)
         ]
-        with ServoBus(specs, reply_timeout_min=0.1, clock=ManualClock(bus)) as chain:
-            limit = enabled(chain)
+        with ServoBus(specs, reply_timeout_min=0.1, clock=ManualClock(bus)) as servo_bus:
+            limit = enabled(servo_bus)
             bus.pull("b")
-            found = []
+            faults = []
             for k in range(20):
-                sample = chain.read()
+                sample = servo_bus.read()
                 assert sample.ok.tolist() == [True, False, False]
-                chain.write(np.full(3, 0.01 * k), limit)
-                found += getattr(chain.poll_status(), "faults", ())
+                servo_bus.write(np.full(3, 0.01 * k), limit)
+                faults += getattr(servo_bus.poll_status(), "faults", ())
                 bus.advance(0.01)
-            assert "joint1: its port" in str(found[:2])
-            moved = bus.servo(1).get("goal_position") - 2048
-            assert moved == round(0.19 / bus.servo(1).model.count)
+            assert "joint1: its port" in str(faults[:2])
+            motion = bus.servo(1).get("goal_position") - 2048
+            assert motion == round(0.19 / bus.servo(1).model.count)
             with pytest.raises(ServoError, match=r"torque may still be on: .*is gone"):
-                chain.disable()
+                servo_bus.disable()
             assert not bus.servo(1).enabled
             bus.pull("main")
-            for call in (chain.read, chain.poll_status):
+            for call in (servo_bus.read, servo_bus.poll_status):
                 with pytest.raises(BusError, match="is gone"):
                     call()
 
 
-def test_overload_comes_as_a_sentence(emulated, enabled):
+def test_overload_is_reported_as_a_sentence(emulated, enabled):
     for kind in PROTOCOLS:
-        with emulated(kind, 2, clock="steps") as (bus, chain):
-            limit = enabled(chain)
+        with emulated(kind, 2, clock="steps") as (bus, servo_bus):
+            limit = enabled(servo_bus)
             bus.trip(2, "overload")
-            found = []
+            faults = []
             for _ in range(4):
-                chain.read()
-                found += getattr(chain.poll_status(), "faults", ())
-            assert any("joint1: overload" in text for text in found), kind
-            chain.write([0.0, 0.0], limit)
+                servo_bus.read()
+                faults += getattr(servo_bus.poll_status(), "faults", ())
+            assert any("joint1: overload" in text for text in faults), kind
+            servo_bus.write([0.0, 0.0], limit)
 
 
 def test_a_latched_servo_is_not_enabled_and_reboot_clears_it(emulated, enabled):
-    with emulated("xm", 1, clock="steps") as (bus, chain):
-        enabled(chain)
+    with emulated("xm", 1, clock="steps") as (bus, servo_bus):
+        enabled(servo_bus)
         bus.trip(1, "overload")
-        chain.read()
+        servo_bus.read()
         with pytest.raises(ServoFaultError, match=r"reboot\('joint0'\) clears it"):
-            enabled(chain)
-    with emulated("xm", 1) as (bus, chain):  # a servo takes real time to boot
-        enabled(chain)
+            enabled(servo_bus)
+    with emulated("xm", 1) as (bus, servo_bus):  # a servo takes real time to boot
+        enabled(servo_bus)
         bus.trip(1, "overload")
-        chain.reboot("joint0")
-        assert not chain.enabled.any()
-        enabled(chain)
-        assert chain.enabled.all()
+        servo_bus.reboot("joint0")
+        assert not servo_bus.enabled.any()
+        enabled(servo_bus)
+        assert servo_bus.enabled.all()
 
 
 def test_protocol_1_has_no_reboot(emulated):
-    refused = pytest.raises(ServoError, match="MX-64 has no reboot")
-    with emulated("mx", 1, clock="steps") as (_, chain), refused:
-        chain.reboot("joint0")
+    refusal = pytest.raises(ServoError, match="MX-64 has no reboot")
+    with emulated("mx", 1, clock="steps") as (_, servo_bus), refusal:
+        servo_bus.reboot("joint0")
 
 
-def test_a_limit_that_does_not_stick_is_reported(emulated, enabled):
-    with emulated("sts", 2, clock="steps") as (bus, chain):
-        limit = enabled(chain)
+def test_a_limit_that_the_servo_does_not_take_is_reported(emulated, enabled):
+    with emulated("sts", 2, clock="steps") as (bus, servo_bus):
+        limit = enabled(servo_bus)
         bus.stick(1, "torque_limit", 1000)
-        found = []
+        faults = []
         for _ in range(70):
-            chain.read()
-            chain.write([0.0, 0.0], limit / 2)
-            found += getattr(chain.poll_status(), "faults", ())
+            servo_bus.read()
+            servo_bus.write([0.0, 0.0], limit / 2)
+            faults += getattr(servo_bus.poll_status(), "faults", ())
             bus.advance(0.01)
-        said = "torque limit reads 1000 (1.91 N·m), written was 250 (0.478 N·m)"
-        assert any(said in text for text in found)
-        assert chain.counters["mismatches"] >= 2
+        message = "torque limit reads 1000 (1.91 N·m), written was 250 (0.478 N·m)"
+        assert any(message in text for text in faults)
+        assert servo_bus.counters["mismatches"] >= 2
         # The servo accepts its goals, so it does not count as refusing.
-        assert not chain.refusing.any()
+        assert not servo_bus.refusing.any()
         with pytest.raises(ServoError, match="did not take the torque limit"):
-            enabled(chain)
+            enabled(servo_bus)
 
 
 @pytest.mark.parametrize("kind", ["sts", "xm", "xl430", "mx"])
 def test_lost_writes_are_waited_for_as_long_as_lost_answers(emulated, enabled, kind):
-    with emulated(kind, 2, clock="steps") as (bus, chain):
-        limit = enabled(chain)
-        guard, deaf = chain._ports[0].guard, False
+    with emulated(kind, 2, clock="steps") as (bus, servo_bus):
+        limit = enabled(servo_bus)
+        guard, is_deaf = servo_bus._ports[0].guard, False
         write = guard.sync_write
-        guard.sync_write = lambda *packet: None if deaf else write(*packet)
+        guard.sync_write = lambda *packet: None if is_deaf else write(*packet)
 
         def run(ticks):
-            found = []
+            faults = []
             for k in range(ticks):
-                chain.read()
-                chain.write([0.003 * k, 0.003 * k], limit * (1.0 - 0.004 * k))
-                found = getattr(chain.poll_status(), "faults", found)
+                servo_bus.read()
+                servo_bus.write([0.003 * k, 0.003 * k], limit * (1.0 - 0.004 * k))
+                faults = getattr(servo_bus.poll_status(), "faults", faults)
                 bus.advance(0.01)
-                yield found
+                yield faults
 
         assert not any(run(30))
-        deaf = True
+        is_deaf = True
         assert not any(run(30)), "300 ms of silence in this direction too"
-        deaf = False
+        is_deaf = False
         assert not any(run(60))
-        assert not chain.refusing.any()
-        deaf = True
-        said = str(list(run(140)))
-        assert "goal reads" in said
-        assert "limit reads" in said
-        assert chain.refusing.all()
-        deaf = False
+        assert not servo_bus.refusing.any()
+        is_deaf = True
+        text = str(list(run(140)))
+        assert "goal reads" in text
+        assert "limit reads" in text
+        assert servo_bus.refusing.all()
+        is_deaf = False
         assert not list(run(60))[-1]
-        assert not chain.refusing.any()
+        assert not servo_bus.refusing.any()
 
 
-def test_a_lost_packet_is_no_limit_refused(emulated, enabled):
-    with emulated("xm", 2, clock="steps") as (bus, chain):
-        limit = enabled(chain)
-        found = []
+def test_a_lost_packet_does_not_count_as_a_refused_limit(emulated, enabled):
+    with emulated("xm", 2, clock="steps") as (bus, servo_bus):
+        limit = enabled(servo_bus)
+        faults = []
         for k in range(40):
-            chain.read()
+            servo_bus.read()
             # No servo receives these two consecutive packets, which have different limits.
             if k in {20, 21}:
                 bus.faults.inject("deaf", 1)
-            chain.write([0.0, 0.0], limit * (1.0 - 0.01 * k))
-            found += getattr(chain.poll_status(), "faults", ())
-        assert not found
-        assert chain.counters["mismatches"] <= 2
+            servo_bus.write([0.0, 0.0], limit * (1.0 - 0.01 * k))
+            faults += getattr(servo_bus.poll_status(), "faults", ())
+        assert not faults
+        assert servo_bus.counters["mismatches"] <= 2
 
 
 def test_a_short_overload_is_counted(emulated, enabled):
     for kind in ["sts", "mx"]:
-        with emulated(kind, 2, clock="steps") as (bus, chain):
-            limit = enabled(chain)
-            assert chain.counters["alerts"] == 0
+        with emulated(kind, 2, clock="steps") as (bus, servo_bus):
+            limit = enabled(servo_bus)
+            assert servo_bus.counters["alerts"] == 0
             bus.trip(1, "overload")
             for _ in range(4):
-                chain.read()
-                chain.write([0.0, 0.0], limit)
+                servo_bus.read()
+                servo_bus.write([0.0, 0.0], limit)
                 bus.advance(0.01)
-            assert chain.counters["alerts"] == 1, kind
+            assert servo_bus.counters["alerts"] == 1, kind
 
 
 def test_a_supply_that_stays_too_low_is_a_fault(emulated, enabled):
-    with emulated("ex", 2, clock="steps") as (bus, chain):
-        limit = enabled(chain)
+    with emulated("ex", 2, clock="steps") as (bus, servo_bus):
+        limit = enabled(servo_bus)
 
         def faults(seconds):
-            found = []
+            messages = []
             for _ in range(round(seconds / 0.01)):
-                chain.read()
-                chain.write([0.0, 0.0], limit)
-                found += getattr(chain.poll_status(), "faults", ())
+                servo_bus.read()
+                servo_bus.write([0.0, 0.0], limit)
+                messages += getattr(servo_bus.poll_status(), "faults", ())
                 bus.advance(0.01)
-            return found
+            return messages
 
         bus.supply(11.0)
         assert not faults(0.4)
         bus.supply(14.8)
         assert not faults(0.4)
         bus.supply(11.0)
-        found = faults(0.8)
-        assert any("its supply is 11.0 V and it needs 11.5 V" in text for text in found)
+        texts = faults(0.8)
+        assert any("its supply is 11.0 V and it needs 11.5 V" in text for text in texts)
 
 
 def test_a_pulled_adapter_ends_reading_and_writing_at_once(emulated, enabled):
-    with emulated("sts", 2) as (bus, chain):
-        limit = enabled(chain)
+    with emulated("sts", 2) as (bus, servo_bus):
+        limit = enabled(servo_bus)
         bus.pull()
         with pytest.raises(BusError, match="is gone"):
-            chain.read()
+            servo_bus.read()
         with pytest.raises(BusError, match="is gone"):
-            chain.write([0.0, 0.0], limit)
-        chain.close()
+            servo_bus.write([0.0, 0.0], limit)
+        servo_bus.close()
         with pytest.raises(ServoError, match="there is no port"):
-            chain.open()
+            servo_bus.open()
         bus.put_back()
-        chain.open()
-        assert chain.read().ok.all()
+        servo_bus.open()
+        assert servo_bus.read().ok.all()
 
 
 def test_a_reading_that_jumps_is_rejected(emulated, enabled):
-    with emulated("sts", 1, clock="steps") as (bus, chain):
-        enabled(chain)
+    with emulated("sts", 1, clock="steps") as (bus, servo_bus):
+        enabled(servo_bus)
         bus.advance(0.01)
-        before = chain.read().position[0]
+        before = servo_bus.read().position[0]
         bus.stick(1, "present_position", 3000)
         bus.advance(0.01)
-        sample = chain.read()
+        sample = servo_bus.read()
         assert not sample.ok[0]
         assert sample.position[0] == before
-        assert chain.counters["stale"] == 1
+        assert servo_bus.counters["stale"] == 1
         # After a long gap without readings, the joint may really have moved that far.
         bus.advance(2.0)
-        assert chain.read().ok[0]
+        assert servo_bus.read().ok[0]
 
 
 @pytest.mark.parametrize("step", [0.35, 0.6, 1.5])
 @pytest.mark.parametrize("kind", ["sts", "xm", "mx"])
 def test_an_encoder_that_steps_is_a_fault_and_always_rejected(emulated, enabled, kind, step):
-    with emulated(kind, 2, clock="steps") as (bus, chain):
-        limit = enabled(chain)
-        for _ in sweep(bus, chain, limit, 5, speed=0.0):
+    with emulated(kind, 2, clock="steps") as (bus, servo_bus):
+        limit = enabled(servo_bus)
+        for _ in sweep(bus, servo_bus, limit, 5, speed=0.0):
             pass
-        before = chain.read().position[0]
-        place = bus.servos[0].position + round(step / bus.servos[0].model.count)
-        bus.stick(1, "present_position", place)
-        said = []
+        before = servo_bus.read().position[0]
+        position = bus.servos[0].position + round(step / bus.servos[0].model.count)
+        bus.stick(1, "present_position", position)
+        messages = []
         for _ in range(300):
-            sample = chain.read()
+            sample = servo_bus.read()
             assert not sample.ok[0]
             assert sample.position[0] == before
-            chain.write([0.0, 0.0], limit)
-            said.append(getattr(chain.poll_status(), "faults", ()))
+            servo_bus.write([0.0, 0.0], limit)
+            messages.append(getattr(servo_bus.poll_status(), "faults", ()))
             bus.advance(0.01)
-        assert "joint0: its position jumped by" in str(said[:10])
+        assert "joint0: its position jumped by" in str(messages[:10])
         # Without torque, the joint may be moved to any position.
-        chain.disable()
-        assert chain.read().ok.all()
+        servo_bus.disable()
+        assert servo_bus.read().ok.all()
 
 
 @pytest.mark.parametrize("dead", [False, True])
 def test_a_watchdog_that_trips_is_cleared_as_soon_as_it_is_seen(emulated, enabled, dead):
-    with emulated("xm", 2, clock="steps") as (bus, chain):
-        limit = enabled(chain)
-        chain.watchdog(0.1)
-        for _ in sweep(bus, chain, limit, 5):
+    with emulated("xm", 2, clock="steps") as (bus, servo_bus):
+        limit = enabled(servo_bus)
+        servo_bus.watchdog(0.1)
+        for _ in sweep(bus, servo_bus, limit, 5):
             pass
         bus.short(dead)  # no data pass in either direction
         for _ in range(5 if dead else 1):
-            chain.read()
-            chain.write([0.0, 0.0], limit)
+            servo_bus.read()
+            servo_bus.write([0.0, 0.0], limit)
             bus.advance(0.1 if dead else 0.3)
         assert [servo.get("bus_watchdog") for servo in bus.servos] == [-1, -1]
         bus.short(False)
         for _ in range(15):
-            chain.read()
-            chain.write([0.1, 0.1], limit)
-            assert not getattr(chain.poll_status(), "faults", ())
+            servo_bus.read()
+            servo_bus.write([0.1, 0.1], limit)
+            assert not getattr(servo_bus.poll_status(), "faults", ())
             bus.advance(0.01)
         assert [servo.get("bus_watchdog") for servo in bus.servos] == [5, 5]
         assert bus.servos[0].get("goal_position") > 2048
-        assert chain.counters["trips"] == 2
-        assert not chain.refusing.any()
+        assert servo_bus.counters["trips"] == 2
+        assert not servo_bus.refusing.any()
 
 
 def test_disable_reaches_all_although_one_is_silent(emulated, enabled):
-    with emulated("sts", 3, clock="steps") as (bus, chain):
-        enabled(chain)
+    with emulated("sts", 3, clock="steps") as (bus, servo_bus):
+        enabled(servo_bus)
         bus.faults.inject("deaf", 1, count=99)
         with pytest.raises(ServoError, match="torque may still be on: joint0"):
-            chain.disable()
+            servo_bus.disable()
         assert [s.get("torque_enable") for s in bus.servos] == [1, 0, 0]
 
 
 def test_enable_undoes_itself_when_one_servo_does_not_obey(emulated, enabled):
-    with emulated("sts", 3, clock="steps") as (bus, chain):
+    with emulated("sts", 3, clock="steps") as (bus, servo_bus):
         bus.stick(3, "torque_enable", 0)
         with pytest.raises(ServoError, match="did not switch its torque on"):
-            enabled(chain)
+            enabled(servo_bus)
         assert [s.get("torque_enable") for s in bus.servos[:2]] == [0, 0]
-        assert not chain.enabled.any()
+        assert not servo_bus.enabled.any()
 
 
 def test_enable_wants_to_know_where_the_joint_is(emulated):
-    with emulated("sts", 1, clock="steps") as (bus, chain):
-        chain.read()
+    with emulated("sts", 1, clock="steps") as (bus, servo_bus):
+        servo_bus.read()
         with pytest.raises(ServoError, match=r"is at 0\.00 rad and not at 0\.70"):
-            chain.enable([0.7], [1.0])
+            servo_bus.enable([0.7], [1.0])
         assert not bus.log.writes()
 
 
 def test_a_servo_outside_its_range_is_not_switched_on(emulated):
     spec = {"lower": 0.3, "upper": 0.9}
-    with emulated("sts", 1, clock="steps", spec=spec) as (bus, chain):
+    with emulated("sts", 1, clock="steps", spec=spec) as (bus, servo_bus):
         with pytest.raises(ServoError, match="would jump there: move it by hand"):
-            chain.enable(chain.read().position, [1.0])
+            servo_bus.enable(servo_bus.read().position, [1.0])
         assert not bus.log.writes()
 
 
 def test_positions_go_on_across_the_seam(emulated, enabled):
     # A multi-turn servo with its zero near the seam, 96 counts before the end of the turn.
     spec = {"zero": 4000.0, "lower": -1.0, "upper": 1.0}
-    with emulated("xm", 1, clock="steps", spec=spec) as (bus, chain):
+    with emulated("xm", 1, clock="steps", spec=spec) as (bus, servo_bus):
         bus.servos[0].shaft.angle = 3900 * bus.servos[0].model.count
-        chain.close()
-        chain.open()
-        limit = enabled(chain)
+        servo_bus.close()
+        servo_bus.open()
+        limit = enabled(servo_bus)
         for _ in range(30):
-            chain.read()
-            chain.write([0.5], limit)
+            servo_bus.read()
+            servo_bus.write([0.5], limit)
             bus.advance(0.05)
-        sample = chain.read()
+        sample = servo_bus.read()
         assert sample.position[0] == pytest.approx(0.5, abs=0.05)
         assert bus.servos[0].shaft.angle / bus.servos[0].model.count > 4200
         # After a reboot the servo counts from within one turn again; the joint has not moved.
         bus.reboot(1)
         bus.advance(0.5)
-        chain.read()
-        assert chain.read().position[0] == pytest.approx(sample.position[0], abs=0.01)
+        servo_bus.read()
+        assert servo_bus.read().position[0] == pytest.approx(sample.position[0], abs=0.01)
 
 
 def test_chance_faults_never_give_a_stale_sample(emulated, enabled):
     from pliant.emulator import Faults
 
     faults = Faults(seed=3)
-    with emulated("sts", 6, clock="steps", faults=faults) as (bus, chain):
-        limit = enabled(chain)
+    with emulated("sts", 6, clock="steps", faults=faults) as (bus, servo_bus):
+        limit = enabled(servo_bus)
         noisy = Faults(seed=3, lose=0.01, corrupt=0.02, late=0.03, noise=0.01, truncate=0.01)
         faults._shares = noisy._shares
-        answered = 0
-        for sample, truth in sweep(bus, chain, limit, 150):
+        replies = 0
+        for sample, truth in sweep(bus, servo_bus, limit, 150):
             error = np.abs(sample.position - truth)[sample.ok]
-            answered += sample.ok.sum()
+            replies += sample.ok.sum()
             assert error.size == 0 or error.max() < 0.003
-        assert answered > 0.98 * 150 * 6
-        assert chain.counters["retries"] > 5
+        assert replies > 0.98 * 150 * 6
+        assert servo_bus.counters["retries"] > 5

@@ -49,9 +49,9 @@ def test_two_failures_are_reported(fake_bus):
     guard = guarded(bus)
     bus.plan = [failure("timeout"), failure("corrupt")]
     guard.start_cycle(1.0)
-    with pytest.raises(BusError) as caught:
+    with pytest.raises(BusError) as error:
         guard.read(1, SHORT, LONG)
-    assert caught.value.reason == "corrupt"
+    assert error.value.reason == "corrupt"
     assert len(requests(bus)) == 2
     assert (guard.counters.timeouts, guard.counters.corrupt) == (1, 1)
 
@@ -63,12 +63,12 @@ def test_nothing_is_asked_before_a_noisy_line_is_silent(fake_bus):
     guard.start_cycle(0.03)
     with pytest.raises(BusError):
         guard.read(1, SHORT)
-    sent = len(requests(bus))
+    count = len(requests(bus))
     guard.start_cycle(0.03)
-    with pytest.raises(BusError) as caught:
+    with pytest.raises(BusError) as error:
         guard.read(1, SHORT)
-    assert caught.value.reason == "late"
-    assert len(requests(bus)) == sent == 1
+    assert error.value.reason == "late"
+    assert len(requests(bus)) == count == 1
     bus.late = 0
     guard.start_cycle(0.03)
     assert guard.read(1, SHORT, LONG).status == 0
@@ -96,9 +96,9 @@ def test_a_stale_sync_read_is_kept_out(fake_bus):
     with pytest.raises(BusError):
         guard.sync_read([1, 2], SHORT, LONG)
     bus.plan = ["stale"]
-    with pytest.raises(BusError) as caught:
+    with pytest.raises(BusError) as error:
         guard.sync_read([1, 2], SHORT, LONG)
-    assert caught.value.reason == "stale"
+    assert error.value.reason == "stale"
 
 
 def test_a_length_is_not_requested_while_it_is_outstanding(fake_bus):
@@ -109,9 +109,9 @@ def test_a_length_is_not_requested_while_it_is_outstanding(fake_bus):
     with pytest.raises(BusError):
         guard.read(1, SHORT, LONG)
     # Replies of both lengths are now outstanding from this servo.
-    with pytest.raises(BusError) as caught:
+    with pytest.raises(BusError) as error:
         guard.read(1, SHORT, LONG)
-    assert caught.value.reason == "late"
+    assert error.value.reason == "late"
     assert guard.read(2, SHORT, LONG).block == SHORT
     with pytest.raises(BusError):
         guard.sync_read([1, 2], SHORT, LONG)
@@ -130,9 +130,9 @@ def test_a_servo_that_was_silent_for_long_is_asked_again(fake_bus):
     bus.plan = [failure("timeout")]
     with pytest.raises(BusError):
         guard.read(1, SHORT, again=False)
-    with pytest.raises(BusError) as caught:
+    with pytest.raises(BusError) as error:
         guard.read(1, SHORT, again=False)
-    assert caught.value.reason == "late"
+    assert error.value.reason == "late"
     bus.now += 2.5
     assert guard.read(1, SHORT).block == SHORT
 
@@ -156,9 +156,9 @@ def test_a_ping_of_protocol_2_looks_like_three_bytes(fake_bus):
     assert not guard.ping(1)
     bus.memory[1] = bytearray(256)
     guard.start_cycle(1.0)
-    with pytest.raises(BusError) as caught:
+    with pytest.raises(BusError) as error:
         guard.read(1, Block(144, 3))
-    assert caught.value.reason == "late"
+    assert error.value.reason == "late"
 
 
 def test_no_retry_that_could_not_be_answered_in_time(fake_bus):
@@ -178,9 +178,9 @@ def test_a_port_that_is_gone_is_asked_nothing_more(fake_bus):
     guard = guarded(bus)
     bus.plan = [failure("gone")]
     for _ in range(2):
-        with pytest.raises(BusError) as caught:
+        with pytest.raises(BusError) as error:
             guard.read(1, SHORT)
-        assert caught.value.reason == "gone"
+        assert error.value.reason == "gone"
     assert len(bus.calls) == 1
 
 
@@ -188,9 +188,9 @@ def test_a_refused_read_is_not_mistaken_for_a_stale_one(fake_bus):
     bus = fake_bus([1])
     bus.read = lambda *_: (b"", 0x07)
     guard = guarded(bus)
-    with pytest.raises(BusError) as caught:
+    with pytest.raises(BusError) as error:
         guard.read(1, SHORT)
-    assert caught.value.reason == "refused"
+    assert error.value.reason == "refused"
 
 
 def test_drains_ping_an_unused_id(fake_bus):

@@ -39,8 +39,8 @@ class Replies:
 
     def _serve(self):
         while self._open:
-            ready, _, _ = select.select([self._pty.master], [], [], 0.05)
-            if ready and os.read(self._pty.master, 4096) and self.next:
+            readable, _, _ = select.select([self._pty.master], [], [], 0.05)
+            if readable and os.read(self._pty.master, 4096) and self.next:
                 os.write(self._pty.master, self.next.popleft())
 
     def close(self):
@@ -64,11 +64,11 @@ def port(request):
 def damage(draw):
     """Return a function that damages the bytes of a valid reply."""
     kind = draw(st.integers(0, 5))
-    at, byte = draw(st.integers(0, 63)), draw(st.integers(0, 255))
+    position, byte = draw(st.integers(0, 63)), draw(st.integers(0, 255))
     rubbish = draw(st.binary(max_size=40))
 
     def apply(reply):
-        at_here = at % len(reply)
+        at_here = position % len(reply)
         match kind:
             case 0:
                 return reply[:at_here] + bytes([byte]) + reply[at_here + 1 :]
@@ -97,8 +97,8 @@ LIES = st.tuples(st.binary(max_size=20), st.integers(0, 253), st.integers(0, 255
     derandomize=True,  # one damaged packet in 256 has a valid eight-bit checksum
     suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
-@given(spoil=damage(), lie=st.one_of(st.none(), LIES))
-def test_a_damaged_reply(port, call, spoil, lie):
+@given(damage_reply=damage(), lie=st.one_of(st.none(), LIES))
+def test_a_damaged_reply(port, call, damage_reply, lie):
     replies, packet = port
     # Use a new guard for each input: after a failure a guard first waits for late replies.
     guard = TransactionGuard(
@@ -108,22 +108,22 @@ def test_a_damaged_reply(port, call, spoil, lie):
     answer = packet(IDS[0], 0, data if "read" in call else b"")
     if call == "sync_read":
         answer += packet(IDS[1], 0, data)
-    replies.next.append(packet(lie[1], lie[2], lie[0]) if lie else spoil(answer))
-    got = []
+    replies.next.append(packet(lie[1], lie[2], lie[0]) if lie else damage_reply(answer))
+    decoded = []
     try:
         match call:
             case "read":
-                got = [guard.read(IDS[0], BLOCK)]
+                decoded = [guard.read(IDS[0], BLOCK)]
             case "sync_read":
                 block, answers, time = guard.sync_read(IDS, BLOCK)
-                got = [Reply(block, *answer, time) for answer in answers]
+                decoded = [Reply(block, *answer, time) for answer in answers]
             case "write":
                 assert 0 <= guard.write(IDS[0], 30, b"\x01") <= 255
             case _:
                 assert guard.ping(IDS[0]) in (True, False)
     except BusError as error:
         assert error.reason != "gone", error  # noqa: PT017
-    for reply in got:
+    for reply in decoded:
         assert len(reply.data) == SIZE
         assert lie or reply.data == data, "a damaged packet is taken for another one"
     replies.next.clear()

@@ -11,16 +11,16 @@ from pliant.servo import ServoBus, ServoSpec
 
 def opened(bus, *specs, **options):
     specs = [ServoSpec(port=bus.port, **spec) for spec in specs]
-    with ServoBus(specs, reply_timeout_min=0.03, **options) as chain:
-        return chain
+    with ServoBus(specs, reply_timeout_min=0.03, **options) as servo_bus:
+        return servo_bus
 
 
 def complaint(parts, *specs, **options):
     with Emulator(parts, clock="steps", **options) as bus:
-        with pytest.raises(ServoError) as caught:
+        with pytest.raises(ServoError) as error:
             opened(bus, *specs)
         assert not bus.log.writes()
-    return str(caught.value)
+    return str(error.value)
 
 
 PAN = {"name": "pan", "model": "STS3215-7.4V", "id": 1, "lower": -1.0, "upper": 1.0}
@@ -89,57 +89,57 @@ def test_two_servos_on_one_id():
 
 
 def test_a_port_that_is_not_there():
-    chain = ServoBus([ServoSpec(port="/dev/ttyNOWHERE", **PAN)])
+    servo_bus = ServoBus([ServoSpec(port="/dev/ttyNOWHERE", **PAN)])
     with pytest.raises(ServoError, match="there is no port /dev/ttyNOWHERE; there are:"):
-        chain.open()
+        servo_bus.open()
 
 
 def test_a_port_that_is_taken():
     with Emulator([Device("STS3215", id=1)], clock="steps") as bus:
         spec = ServoSpec(port=bus.port, **PAN)
-        refused = pytest.raises(ServoError, match="in use by another program")
-        with ServoBus([spec], reply_timeout_min=0.03), refused:
+        refusal = pytest.raises(ServoError, match="in use by another program")
+        with ServoBus([spec], reply_timeout_min=0.03), refusal:
             ServoBus([spec], reply_timeout_min=0.03).open()
 
 
 def test_ceilings_and_gains_are_the_servos_own():
     parts = [Device("STS3215", id=1, max_torque_limit=500, p_coefficient=16, overload_torque=25)]
     with Emulator(parts, clock="steps") as bus:
-        chain = opened(bus, PAN)
+        servo_bus = opened(bus, PAN)
         # The bus is closed after the error; the servo parameters that it has read stay.
-        assert chain.servos.max_torque[0] == pytest.approx(1.91 / 2, rel=0.01)
-        assert chain.servos.kp[0] == pytest.approx(5.1, rel=0.01)
-        assert chain.overload[0] == pytest.approx(0.5)
-        assert "Max Torque is set to 50%" in chain.found[0].notes[0]
+        assert servo_bus.servos.max_torque[0] == pytest.approx(1.91 / 2, rel=0.01)
+        assert servo_bus.servos.kp[0] == pytest.approx(5.1, rel=0.01)
+        assert servo_bus.overload[0] == pytest.approx(0.5)
+        assert "Max Torque is set to 50%" in servo_bus.found[0].notes[0]
 
 
 def test_notes_list_the_changes_of_setup():
     with Emulator([Device("XM430-W350", id=3, operating_mode=5)], clock="steps") as bus:
-        chain = opened(bus, ELBOW)
-    notes = " ".join(chain.found[0].notes)
+        servo_bus = opened(bus, ELBOW)
+    notes = " ".join(servo_bus.found[0].notes)
     assert "clear bit 5 of Shutdown" in notes
     assert "500 µs" in notes
 
 
 @pytest.mark.parametrize("model", ["STS3215", "XM430-W350", "MX-64"])
-def test_an_adapter_that_holds_answers_back_is_measured_and_said(model):
+def test_the_latency_of_an_adapter_is_measured_and_reported(model):
     parts = [
         Device(model, id=i, return_delay_time=0, **({"operating_mode": 5} if "XM" in model else {}))
         for i in range(1, 4)
     ]
     with Emulator(parts, timing=Timing(wire=True, usb_latency=0.016)) as bus:
         specs = [ServoSpec(name=f"joint{i}", model=model, id=i, port=bus.port) for i in range(1, 4)]
-        with ServoBus(specs) as chain:
-            assert any("ms later than the wire takes" in note for note in chain.found[0].notes)
-            ok = [chain.read().ok.all() for _ in range(20)]
+        with ServoBus(specs) as servo_bus:
+            assert any("ms later than the wire takes" in note for note in servo_bus.found[0].notes)
+            ok = [servo_bus.read().ok.all() for _ in range(20)]
     # With an unknown adapter latency, every reply would time out before it arrives.
     assert sum(ok) > 12
     with Emulator(parts, timing=Timing(wire=True)) as bus:
-        chain = opened(bus, *({"name": s.name, "model": model, "id": s.id} for s in specs))
-        assert not any("later than the wire" in note for note in chain.found[0].notes)
+        servo_bus = opened(bus, *({"name": s.name, "model": model, "id": s.id} for s in specs))
+        assert not any("later than the wire" in note for note in servo_bus.found[0].notes)
 
 
-def test_a_speed_unit_that_is_not_ours_is_noted():
+def test_an_unexpected_speed_unit_is_noted():
     with Emulator([Device("STS3215", id=1, phase=0b1000)], clock="steps") as bus:
         assert "speed caps are void" in opened(bus, PAN).found[0].notes[0]
 
@@ -148,9 +148,9 @@ def test_the_extra_is_named_where_it_is_missing(monkeypatch):
     import sys
 
     monkeypatch.setitem(sys.modules, "rustypot", None)
-    chain = ServoBus([ServoSpec(port="p", **PAN)])
+    servo_bus = ServoBus([ServoSpec(port="p", **PAN)])
     with pytest.raises(ImportError, match=r"pip install 'pliant\[servo\]'"):
-        chain.open()
+        servo_bus.open()
 
 
 def test_another_transport_can_be_passed_in(fake_bus):
@@ -166,7 +166,7 @@ def test_another_transport_can_be_passed_in(fake_bus):
         opened_with.append((port, baudrate, protocol))
         return Patient([1])
 
-    chain = ServoBus([ServoSpec(port="p", **PAN)], transport=fake, baudrate=57_600)
+    servo_bus = ServoBus([ServoSpec(port="p", **PAN)], transport=fake, baudrate=57_600)
     with pytest.raises(ServoError, match="model number 0"):
-        chain.open()
+        servo_bus.open()
     assert opened_with == [("p", 57_600, "p1")]

@@ -54,32 +54,35 @@ def emulated(name):
     return EMULATED[TWINS.get(name, name)]
 
 
-def test_the_models_asked_for_are_there():
+def test_the_supported_models_are_in_the_table():
     assert {"EX-106+", "RX-64", "MX-28", "MX-64", "MX-106", "STS3215-7.4V", "STS3215-12V"} <= {*ALL}
     assert set(map(emulated, ALL)) == set(EMULATED.values())
 
 
 @pytest.mark.parametrize("name", ALL)
 def test_two_independent_tables_agree(name):
-    ours, theirs = get_model(name), emulated(name)
+    servo_model, emulated_model = get_model(name), emulated(name)
     compared = 0
     for field, alias in NAMES.items():
-        other = alias if isinstance(alias, str) else alias.get(theirs.family, alias.get(""))
-        if field not in ours.family.registers or other is None:
+        other = alias if isinstance(alias, str) else alias.get(emulated_model.family, alias.get(""))
+        if field not in servo_model.family.registers or other is None:
             continue
-        register, twin = ours.family.registers[field], theirs.table[other]
+        register, twin = servo_model.family.registers[field], emulated_model.table[other]
         # The driver reads the major and minor firmware version of Feetech servos as one number.
         twin_size = 2 if name.startswith("STS") and field == "firmware" else twin.size
         assert (register.address, register.size) == (twin.address, twin_size), field
         compared += 1
     assert compared >= 18
-    assert ours.model_number == theirs.number
-    assert 2 * np.pi / ours.counts_per_turn == pytest.approx(theirs.count, rel=1e-3)
-    assert ours.max_position == theirs.top
-    assert ours.current_unit == pytest.approx(theirs.unit) or ours.limit_type == "pwm"
-    units = Units.of(ServoSpec(name="j", model=name, id=1, port="p"), theirs.motor.volts)
-    assert units.usable(units.full) == pytest.approx(theirs.motor.stall, rel=0.01)
-    assert units.no_load_speed == pytest.approx(theirs.motor.speed, rel=0.01)
+    assert servo_model.model_number == emulated_model.number
+    assert 2 * np.pi / servo_model.counts_per_turn == pytest.approx(emulated_model.count, rel=1e-3)
+    assert servo_model.max_position == emulated_model.top
+    assert (
+        servo_model.current_unit == pytest.approx(emulated_model.unit)
+        or servo_model.limit_type == "pwm"
+    )
+    units = Units.of(ServoSpec(name="j", model=name, id=1, port="p"), emulated_model.motor.volts)
+    assert units.usable(units.full) == pytest.approx(emulated_model.motor.stall, rel=0.01)
+    assert units.no_load_speed == pytest.approx(emulated_model.motor.speed, rel=0.01)
 
 
 @pytest.mark.parametrize("name", ALL)
@@ -94,10 +97,10 @@ def test_blocks_hold_what_the_cycle_needs(name):
             assert register.address + register.size <= end
     assert family.read[0].size != family.read[1].size
     # Goal and limit are adjacent, so that one packet writes both, and not in EEPROM.
-    written = [field for packet in family.write for field in packet]
-    assert {"goal", "limit", "speed_cap"} <= {*written}
+    fields = [field for packet in family.write for field in packet]
+    assert {"goal", "limit", "speed_cap"} <= {*fields}
     assert all(
-        family.registers[f].address > family.registers["torque_enable"].address for f in written
+        family.registers[f].address > family.registers["torque_enable"].address for f in fields
     )
     for packet in family.write:
         spans = [family.registers[field] for field in packet]
@@ -150,9 +153,9 @@ def test_stiffness_follows_the_gain_register():
 
 
 def test_a_mixed_chain_counts_back_emf_as_damping():
-    alone = Servos.of(["XL430-W250"])
-    mixed = Servos.of(["XL430-W250", "XL330-M288"])
-    assert alone.limit_type == "pwm"
-    assert mixed.limit_type == "current"
-    back_emf = alone.max_torque[0] / alone.no_load_speed[0]
-    assert mixed.damping[0] == pytest.approx(alone.damping[0] + back_emf)
+    single = Servos.of(["XL430-W250"])
+    both = Servos.of(["XL430-W250", "XL330-M288"])
+    assert single.limit_type == "pwm"
+    assert both.limit_type == "current"
+    back_emf = single.max_torque[0] / single.no_load_speed[0]
+    assert both.damping[0] == pytest.approx(single.damping[0] + back_emf)

@@ -11,8 +11,8 @@ from pliant.servo.scan import scan
 MODELS = {"xl": "XL430-W250", "sts": "STS3215", "mx": "MX-64"}
 
 
-def found(bus, baud):
-    return [(seen.id, seen.note) for seen in scan(bus.port, baudrates=(baud,), ids=range(12))]
+def scan_ids(bus, baud):
+    return [(servo.id, servo.note) for servo in scan(bus.port, baudrates=(baud,), ids=range(12))]
 
 
 def answers(kind, ids, delay=250):
@@ -26,7 +26,7 @@ def answers(kind, ids, delay=250):
 def test_the_ids_that_are_there_are_seen_and_no_others(kind, baud, latency):
     ids, timing = [1, 2, 3, 4, 6, 11], Timing(wire=True, usb_latency=latency)
     with Emulator(answers(kind, ids), timing=timing, baud=baud) as bus:
-        assert found(bus, baud) == [(i, "") for i in ids]
+        assert scan_ids(bus, baud) == [(i, "") for i in ids]
 
 
 @pytest.mark.parametrize("kind", MODELS)
@@ -35,28 +35,28 @@ def test_answers_that_are_late_once_are_not_booked_on_other_ids(kind):
         for id, seconds in ((2, 0.012), (4, 0.03), (6, None)):
             bus.faults.inject("late", id, seconds=seconds)
         bus.faults.inject("lose", 5)
-        assert found(bus, 1_000_000) == [(i, "") for i in range(1, 7)]
+        assert scan_ids(bus, 1_000_000) == [(i, "") for i in range(1, 7)]
 
 
 def test_two_servos_on_one_id_are_distinguished_from_a_line_that_corrupts_replies():
     parts = [*answers("sts", [1, 2]), Device("STS3215", id=2, angle=1.0)]
     with Emulator(parts) as bus:
-        one, two = found(bus, 1_000_000)
-        assert one == (1, "")
-        assert two[0] == 2
-        assert "two servos on this id?" in two[1]
+        first, second = scan_ids(bus, 1_000_000)
+        assert first == (1, "")
+        assert second[0] == 2
+        assert "two servos on this id?" in second[1]
     with Emulator(answers("sts", [1, 2, 3])) as bus:
         bus.faults.by_chance(noise=1.0)
-        notes = [note for _, note in found(bus, 1_000_000)]
+        notes = [note for _, note in scan_ids(bus, 1_000_000)]
         assert notes
         assert all("two servos" not in note for note in notes)
         assert all("adapter" in note for note in notes)
 
 
-@pytest.mark.parametrize("trouble", ["hum", "echo"])
+@pytest.mark.parametrize("disturbance", ["hum", "echo"])
 @pytest.mark.parametrize("kind", ["sts", "xl"])
-def test_a_line_that_is_never_silent_is_reported(kind, trouble):
+def test_a_line_that_is_never_silent_is_reported(kind, disturbance):
     with Emulator(answers(kind, [1, 2])) as bus:
-        getattr(bus, trouble)()
+        getattr(bus, disturbance)()
         with pytest.raises(ServoError, match="never silent"):
             scan(bus.port, baudrates=(1_000_000,), ids=range(3))

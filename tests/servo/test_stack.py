@@ -37,10 +37,10 @@ def test_an_arm_is_enabled_held_and_lowered(shares):
     ]
     faults = Faults(seed=1, **shares)
     with emulate(model, mounts, q=START, clock="steps", faults=faults) as bus:
-        chain = so101(bus, model, clock=ManualClock(bus))
-        with Arm(model, chain, rate=50.0, handle_signals=False) as arm:
+        servo_bus = so101(bus, model, clock=ManualClock(bus))
+        with Arm(model, servo_bus, rate=50.0, handle_signals=False) as arm:
             controller = pliant.Controller(
-                model, pliant.Settings(task=pliant.Task(axes="xyz"), rate=50.0), chain.servos
+                model, pliant.Settings(task=pliant.Task(axes="xyz"), rate=50.0), servo_bus.servos
             )
             target = model.forward_kinematics(arm.read().q)
             for k, tick in enumerate(pliant.Loop(arm, controller, rate=50.0)):
@@ -55,4 +55,4 @@ def test_an_arm_is_enabled_held_and_lowered(shares):
         assert [servo.get("torque_enable") for servo in bus.servos] == [0] * 5
         assert bus.log.eeprom_writes() == []
         assert not bus.log.writes(refused=True)
-        assert chain.counters["retries"] > 0 or not shares
+        assert servo_bus.counters["retries"] > 0 or not shares

@@ -7,21 +7,21 @@ from pliant.servo import BusError
 from pliant.servo._transactions import Reply, TransactionGuard
 from pliant.servo.models import get_model
 
-#: Number of reply bytes with the time of the request [µs], which the servos report as position.
+#: Size of the position that servos report [byte]: here it is the time of the request [µs].
 STAMP = 8
 
 
 class LateLine:
-    """A serial line with its own time whose replies are delayed.
+    """Serial line with delayed replies, in simulated time.
 
     Args:
         ids: Servos.
-        held: Function from the time at which a byte is sent to the time at which it arrives [s].
+        arrival: Function that returns the arrival time of a byte sent at a given time [s].
         keeps_order: True if replies arrive in the order in which they were sent.
     """
 
-    def __init__(self, ids, held, *, keeps_order):
-        self.ids, self._held, self._keeps_order = ids, held, keeps_order
+    def __init__(self, ids, arrival, *, keeps_order):
+        self.ids, self._held, self._keeps_order = ids, arrival, keeps_order
         self.now, self.timeout = 0.0, 0.01
         self._coming, self._latest = [], 0.0
 
@@ -29,26 +29,28 @@ class LateLine:
         return self.now
 
     def _ask(self, ids, size):
-        # Discard what has arrived by now, as rustypot does before a request.
-        self._coming = [one for one in self._coming if one[0] > self.now]
+        # Discard bytes that have arrived, as rustypot does before a request.
+        self._coming = [packet for packet in self._coming if packet[0] > self.now]
         for k, id in enumerate(ids):
             if id in self.ids:
-                sent = self.now + 0.0002 * (k + 1)
-                at = max(self._held(sent), self._latest if self._keeps_order else 0.0)
-                self._latest = at
-                data = int(sent * 1e6).to_bytes(STAMP, "little").ljust(size, b"\0")
-                self._coming.append((at, id, data))
+                send_time = self.now + 0.0002 * (k + 1)
+                arrival_time = max(
+                    self._held(send_time), self._latest if self._keeps_order else 0.0
+                )
+                self._latest = arrival_time
+                data = int(send_time * 1e6).to_bytes(STAMP, "little").ljust(size, b"\0")
+                self._coming.append((arrival_time, id, data))
 
     def _take(self, id, end):
         """Return the next packet that arrives, from any servo and of any length."""
-        self._coming.sort(key=lambda one: one[0])
+        self._coming.sort(key=lambda packet: packet[0])
         if not self._coming or self._coming[0][0] > end:
             self.now = end + 1e-6  # a clock has passed the timeout
             raise BusError("nothing came", "timeout", id)
-        at, who, data = self._coming.pop(0)
-        self.now = max(self.now, at)
-        if who != id:
-            raise BusError(f"{who} answered", "corrupt", id)
+        arrival_time, sender, data = self._coming.pop(0)
+        self.now = max(self.now, arrival_time)
+        if sender != id:
+            raise BusError(f"{sender} answered", "corrupt", id)
         return data, 0
 
     def read(self, id, address, size):
@@ -76,7 +78,7 @@ class LateLine:
 
 
 def stalls(rng, longest):
-    """Return the argument `held` of a `LateLine` that stalls at random, up to `longest` [s].
+    """Return the argument `arrival` of a `LateLine` that stalls at random, up to `longest` [s].
 
     Bytes sent during a stall arrive at its end.
     """
@@ -97,12 +99,12 @@ def stalls(rng, longest):
 def test_no_answer_from_before_a_stall_is_taken(model, patience, keeps_order):
     rng = np.random.default_rng(5)
     if keeps_order:
-        held = stalls(rng, 1.5)
+        arrival = stalls(rng, 1.5)
     else:
-        held = lambda time: time + rng.choice([0.0, 0.3], p=[0.97, 0.03]) * rng.random()  # noqa: E731
+        arrival = lambda time: time + rng.choice([0.0, 0.3], p=[0.97, 0.03]) * rng.random()  # noqa: E731
     family = get_model(model).family
     blocks = [type(block)(block.address, block.size) for block in family.read]
-    bus = LateLine([1, 2, 3], held, keeps_order=keeps_order)
+    bus = LateLine([1, 2, 3], arrival, keeps_order=keeps_order)
     guard = TransactionGuard(
         bus,
         family.protocol,
@@ -111,7 +113,7 @@ def test_no_answer_from_before_a_stall_is_taken(model, patience, keeps_order):
         unused_id=200,
         clock=bus.clock,
     )
-    taken = 0
+    accepted = 0
     for cycle in range(6000):
         bus.now = max(bus.now, 0.01 * cycle)
         guard.start_cycle(0.03)
@@ -128,9 +130,9 @@ def test_no_answer_from_before_a_stall_is_taken(model, patience, keeps_order):
                 except BusError:
                     continue
         for reply in replies.values():
-            told = int.from_bytes(reply.data[:STAMP], "little") * 1e-6
-            assert reply.time <= told <= bus.now
-            taken += 1
+            request_time = int.from_bytes(reply.data[:STAMP], "little") * 1e-6
+            assert reply.time <= request_time <= bus.now
+            accepted += 1
     # Most positions arrived, and some late replies had to be discarded.
-    assert taken > 6000
+    assert accepted > 6000
     assert guard.counters.stale > 10

@@ -55,9 +55,9 @@ class Answering:
 
 @pytest.fixture(params=[True, False], ids=["descriptor", "rustypot"])
 def port(request, monkeypatch):
-    made = Answering(with_descriptor=request.param, monkeypatch=monkeypatch)
-    yield made
-    made.close()
+    answering = Answering(with_descriptor=request.param, monkeypatch=monkeypatch)
+    yield answering
+    answering.close()
 
 
 def test_requests_and_valid_replies_are_those_of_rustypot(port):
@@ -113,13 +113,13 @@ def test_a_reply_of_another_length_is_no_reply_to_this_request(port, data):
 
 
 def test_a_port_that_vanishes():
-    made = Answering()
-    made.stop()
-    made.pty.hang_up()
+    answering = Answering()
+    answering.stop()
+    answering.pty.hang_up()
     with pytest.raises(BusError, match="gone") as error:
-        made.io.sync_read([3, 5], 56, SIZE)
+        answering.io.sync_read([3, 5], 56, SIZE)
     assert error.value.reason == "gone"
-    made.close()
+    answering.close()
 
 
 def codec_of_two():
@@ -136,57 +136,57 @@ def test_readings_decoded_with_the_request_are_those_decoded_after_it():
     rng = np.random.default_rng(0)
     port = Answering()
     (codec, family, block), (other, _, _) = codec_of_two(), codec_of_two()
-    seen = set()
-    for turn in range(60):
-        time = 0.01 * turn + (1.0 if turn > 40 else 0.0)
+    results = set()
+    for cycle in range(60):
+        time = 0.01 * cycle + (1.0 if cycle > 40 else 0.0)
         values = [
             {
                 "position": int(2000 + rng.integers(3) + 1500 * (rng.random() < 0.1)),
                 "speed": int(rng.integers(100)),
-                "voltage": 70 + (turn == 20),
+                "voltage": 70 + (cycle == 20),
             }
             for _ in range(2)
         ]
         statuses = [int(rng.random() < 0.05) for _ in range(2)]
         data = [family.layout(block).encode(row) for row in values]
         port.reply = b"".join(map(packet, (3, 5), data, statuses))
-        usual = bool(turn % 3)
-        decoder = transport.Decoder(codec, [0, 1], 0.5, block if usual else None)
-        found = port.io.sync_decode([3, 5], block, decoder, time)
+        is_regular = bool(cycle % 3)
+        decoder = transport.Decoder(codec, [0, 1], 0.5, block if is_regular else None)
+        decoded = port.io.sync_decode([3, 5], block, decoder, time)
         answers = list(zip(data, statuses, strict=True))
         notable = other.decode([0, 1], answers, block.address, time, 0.5)
-        assert found == (None if usual and not notable else (answers, notable))
-        for mine, its in zip(codec.joints([0, 1]), other.joints([0, 1]), strict=True):
-            np.testing.assert_array_equal(mine, its)
+        assert decoded == (None if is_regular and not notable else (answers, notable))
+        for joint, other_joint in zip(codec.joints([0, 1]), other.joints([0, 1]), strict=True):
+            np.testing.assert_array_equal(joint, other_joint)
         for i, result in notable:
             if result is None:
                 codec.decode([i], [answers[i]], block.address, time, math.inf)
                 other.decode([i], [answers[i]], block.address, time, math.inf)
-        seen |= {result for _, result in notable} | {found is None}
-    assert seen == {None, False, True}
+        results |= {result for _, result in notable} | {decoded is None}
+    assert results == {None, False, True}
     port.close()
 
 
 @pytest.mark.skipif(transport.sys.platform == "win32", reason="readings are decoded in Python")
-def test_of_replies_that_are_not_all_valid_no_reading_is_stored():
+def test_no_reading_is_stored_unless_all_replies_are_valid():
     port = Answering()
     codec, family, block = codec_of_two()
     decoder = transport.Decoder(codec, [0, 1], 9.0, block)
     first = family.layout(block).encode({"position": 2000})
     codec.decode([0, 1], [(first, 0), (first, 0)], block.address, 0.0, 9.0)
     before = [values.tolist() for values in codec.joints([0, 1])]
-    good = packet(3, family.layout(block).encode({"position": 2001}))
+    valid = packet(3, family.layout(block).encode({"position": 2001}))
     other = packet(5, family.layout(block).encode({"position": 2001}))
     for reply, reason in (
-        (good, "timeout"),
-        (good + other[:-1] + b"\0", "corrupt"),
-        (good + packet(7, b"\0" * block.size), "corrupt"),
+        (valid, "timeout"),
+        (valid + other[:-1] + b"\0", "corrupt"),
+        (valid + packet(7, b"\0" * block.size), "corrupt"),
     ):
         port.reply = reply
         with pytest.raises(BusError) as error:
             port.io.sync_decode([3, 5], block, decoder, 0.01)
         assert (error.value.reason, error.value.id) == (reason, 5)
-    port.reply = good + packet(5, b"\0" * (block.size - 1))
+    port.reply = valid + packet(5, b"\0" * (block.size - 1))
     answers, notable = port.io.sync_decode([3, 5], block, decoder, 0.01)
     assert [len(data) for data, _ in answers] == [block.size, block.size - 1]
     assert notable == []
@@ -197,37 +197,39 @@ def test_of_replies_that_are_not_all_valid_no_reading_is_stored():
 
 
 @pytest.mark.parametrize(("kind", "requests"), [("sts", 2), ("mx", 4), ("xm", 3)])
-def test_status_comes_with_readings_where_it_is_near(emulated, enabled, kind, requests):
+def test_status_is_read_with_the_position_where_registers_are_near(
+    emulated, enabled, kind, requests
+):
     n = 3
-    with emulated(kind, n, clock="steps") as (bus, chain):
-        limit = enabled(chain)
-        seen, cycles = {}, 4 * n
+    with emulated(kind, n, clock="steps") as (bus, servo_bus):
+        limit = enabled(servo_bus)
+        seen_faults, cycles = {}, 4 * n
         for cycle in range(cycles):
             if cycle == n:
-                before = chain.counters["transactions"]
+                before = servo_bus.counters["transactions"]
                 limit = 0.5 * limit
-            chain.read()
-            chain.write(np.zeros(n), limit)
-            status = chain.poll_status()
+            servo_bus.read()
+            servo_bus.write(np.zeros(n), limit)
+            status = servo_bus.poll_status()
             bus.advance(0.01)
             if status is not None:
-                seen[status.name] = status
-        made = chain.counters["transactions"] - before
+                seen_faults[status.name] = status
+        transactions = servo_bus.counters["transactions"] - before
         # Protocol 2.0 has the registers far apart: a request for the status in each cycle.
-        assert made == pytest.approx(
+        assert transactions == pytest.approx(
             requests * (cycles - n), abs=0.4 * cycles if kind == "xm" else 0
         )
         if kind != "xm":
-            assert list(seen) == list(chain.names)
-            limits = [status.limit for status in seen.values()]
+            assert list(seen_faults) == list(servo_bus.names)
+            limits = [status.limit for status in seen_faults.values()]
             assert limits == pytest.approx(limit, rel=0.05)
-        assert chain.counters["mismatches"] == 0
+        assert servo_bus.counters["mismatches"] == 0
         bus.servo(2).put("torque_enable", 0)
         faults = ()
         for _ in range(2 * n):
-            chain.read()
-            chain.write(np.zeros(n), limit)
-            faults += getattr(chain.poll_status(), "faults", ())
+            servo_bus.read()
+            servo_bus.write(np.zeros(n), limit)
+            faults += getattr(servo_bus.poll_status(), "faults", ())
             bus.advance(0.01)
         # Dynamixel servos switch torque on again with the next goal.
         assert "torque went off by itself" in " ".join(faults) or kind != "sts"

@@ -41,7 +41,7 @@ def test_a_limit_is_never_more_than_asked_and_within_one_count(units, torque, ce
 
 
 @given(joints(), st.integers(0, 2047))
-def test_a_register_comes_back_as_itself(units, register):
+def test_registers_convert_to_joint_values_and_back(units, register):
     register = min(register, units.full)
     if units.torque(register) > 0.0:
         assert units.register(units.torque(register)) == register
@@ -75,17 +75,17 @@ def joint(model, **options):
 
 
 def test_a_gear_turns_slower_and_pushes_harder():
-    plain, geared = joint("MX-64"), joint("MX-64", gear_ratio=2.0)
-    assert geared.usable(1023) == pytest.approx(2 * plain.usable(1023))
-    assert geared.count == pytest.approx(plain.count / 2)
-    assert geared.no_load_speed == pytest.approx(plain.no_load_speed / 2)
-    assert geared.stiffness(32) == pytest.approx(4 * plain.stiffness(32))
+    direct, geared = joint("MX-64"), joint("MX-64", gear_ratio=2.0)
+    assert geared.usable(1023) == pytest.approx(2 * direct.usable(1023))
+    assert geared.count == pytest.approx(direct.count / 2)
+    assert geared.no_load_speed == pytest.approx(direct.no_load_speed / 2)
+    assert geared.stiffness(32) == pytest.approx(4 * direct.stiffness(32))
 
 
 def test_two_servos_share_the_torque():
-    plain, secondaries = joint("XM540-W270"), joint("XM540-W270", secondary=(2, -1))
-    assert secondaries.usable(2047) == pytest.approx(2 * plain.usable(2047))
-    assert secondaries.register(4.0) == plain.register(2.0)
+    single, secondaries = joint("XM540-W270"), joint("XM540-W270", secondary=(2, -1))
+    assert secondaries.usable(2047) == pytest.approx(2 * single.usable(2047))
+    assert secondaries.register(4.0) == single.register(2.0)
 
 
 def test_a_duty_follows_the_voltage_and_a_current_does_not():

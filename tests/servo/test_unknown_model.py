@@ -27,7 +27,7 @@ elbow_flex = {{ model = "XL430-W250", id = 3{more} }}
 wrist_flex = {{ model = "XL430-W250", id = 4{more} }}
 wrist_roll = {{ model = "XL430-W250", id = 5{more} }}
 """
-OWN = f", model_number = {NUMBER}, stall = 2.8, no_load = 70.0, voltage = [9.0, 15.0]"
+MODEL_FIELDS = f", model_number = {NUMBER}, stall = 2.8, no_load = 70.0, voltage = [9.0, 15.0]"
 
 
 @pytest.fixture
@@ -38,36 +38,36 @@ def bus():
 
 
 def test_the_error_names_the_number_and_the_line_that_mends_it(bus):
-    own = config.parse(TOML.format(port=bus.port, more=""))
-    chain = factory.make_bus(own, {"main": bus.port})
+    arm_config = config.parse(TOML.format(port=bus.port, more=""))
+    servo_bus = factory.make_bus(arm_config, {"main": bus.port})
     with pytest.raises(pliant.ServoError, match=f"model number {NUMBER}, which is in no") as error:
-        chain.open()
+        servo_bus.open()
     line = re.search(r"add `(.*?)`", str(error.value))[1]
     mended = config.parse(TOML.format(port=bus.port, more=f", {line}"))
-    with factory.make_bus(mended, {"main": bus.port}) as chain:
-        assert [info.model for info in chain.found] == ["XL430-W250"] * 5
+    with factory.make_bus(mended, {"main": bus.port}) as servo_bus:
+        assert [info.model for info in servo_bus.found] == ["XL430-W250"] * 5
 
 
 def test_the_values_of_the_file_replace_those_of_the_model(bus):
-    own = config.parse(TOML.format(port=bus.port, more=OWN))
-    assert own.model().servos.max_torque == pytest.approx(2.8)
-    with factory.make_bus(own, {"main": bus.port}) as chain:
-        spec = chain.specs[0]
+    arm_config = config.parse(TOML.format(port=bus.port, more=MODEL_FIELDS))
+    assert arm_config.model().servos.max_torque == pytest.approx(2.8)
+    with factory.make_bus(arm_config, {"main": bus.port}) as servo_bus:
+        spec = servo_bus.specs[0]
         assert (spec.row.model_number, spec.row.voltage) == (NUMBER, (9.0, 15.0))
         assert spec.row.no_load == ((spec.row.rated, 70.0),)
-        copy = pickle.loads(pickle.dumps(chain.closed_copy()))  # as the guardian gets it
+        copy = pickle.loads(pickle.dumps(servo_bus.closed_copy()))  # as the guardian gets it
         assert copy.specs[0].row.model_number == NUMBER
     bus.supply(8.0)
     with (
         pytest.raises(pliant.ServoError, match=r"takes 8\.5 to 14 V"),
-        factory.make_bus(own, {"main": bus.port}),
+        factory.make_bus(arm_config, {"main": bus.port}),
     ):
         pass
 
 
 def test_its_eeprom_is_set_up_and_restored(bus, tmp_path, capsys):
     file, backup = tmp_path / "arm.toml", tmp_path / "old.json"
-    file.write_text(TOML.format(port=bus.port, more=OWN))
+    file.write_text(TOML.format(port=bus.port, more=MODEL_FIELDS))
     assert main(["servos", "setup", str(file), "--backup", str(backup), "--yes"]) == 0
     assert json.loads(backup.read_text())["changes"]
     assert main(["servos", "setup", str(file), "--undo", str(backup), "--yes"]) == 0
@@ -76,15 +76,15 @@ def test_its_eeprom_is_set_up_and_restored(bus, tmp_path, capsys):
 
 
 def test_the_emulator_answers_with_the_number_of_the_file():
-    text = TOML.format(port="auto", more=OWN)
+    text = TOML.format(port="auto", more=MODEL_FIELDS)
     with factory.make_emulator(config.parse(text, backend="emulator"), clock="steps") as emulated:
-        own = config.parse(text, port=emulated.port)
-        with factory.make_bus(own, {"main": emulated.port}) as chain:
-            assert len(chain.found) == 5
+        arm_config = config.parse(text, port=emulated.port)
+        with factory.make_bus(arm_config, {"main": emulated.port}) as servo_bus:
+            assert len(servo_bus.found) == 5
 
 
 @pytest.mark.parametrize(
-    ("values", "said"),
+    ("values", "message"),
     [
         ({"model_number": 1060}, None),
         ({"model_number": 777}, "777 is that of STS3215-7.4V, not of a servo"),
@@ -93,15 +93,17 @@ def test_the_emulator_answers_with_the_number_of_the_file():
         ({"voltage": (12.0, 6.0)}, r"voltage is lowest and highest \[V\], got \(12.0, 6.0\)"),
     ],
 )
-def test_impossible_values_are_refused(values, said):
-    if said is None:
+def test_impossible_values_are_refused(values, message):
+    if message is None:
         assert ServoSpec(name="a", model="XL430-W250", id=1, port="p", **values).row.rated > 0.0
         return
-    with pytest.raises(pliant.ConfigError, match=said):
+    with pytest.raises(pliant.ConfigError, match=message):
         ServoSpec(name="a", model="XL430-W250", id=1, port="p", **values)
 
 
 def test_a_number_of_another_model_is_an_error_of_the_file():
-    more = ", model_number = 777"
+    extra = ", model_number = 777"
     with pytest.raises(pliant.ConfigError, match="777 is that of STS3215"):
-        ServoBus(factory.servo_specs(config.parse(TOML.format(port="p", more=more)), {"main": "p"}))
+        ServoBus(
+            factory.servo_specs(config.parse(TOML.format(port="p", more=extra)), {"main": "p"})
+        )

@@ -57,11 +57,11 @@ def test_a_timeout_is_generous_but_bounded():
     ],
 )
 def test_a_cycle_keeps_the_wire_busy_for_as_long_as_worked_out(emulated, enabled, kind, cycle):
-    with emulated(kind, 3, clock="steps", timing=Timing(wire=True)) as (bus, chain):
-        limit = enabled(chain)
+    with emulated(kind, 3, clock="steps", timing=Timing(wire=True)) as (bus, servo_bus):
+        limit = enabled(servo_bus)
         bus.log.clear()
-        chain.read()
-        chain.write(np.zeros(3), limit)
+        servo_bus.read()
+        servo_bus.write(np.zeros(3), limit)
         bus.sync()
         busy = sum(t.duration for t in bus.log)
         expected = sum(wire_time(*t, baudrate=1_000_000) for t in cycle)

@@ -1,4 +1,4 @@
-"""Fixtures for tests of the simulator: an arm, a pose, a loop with gravity compensation."""
+"""Fixtures for tests of the simulator: an arm, and a loop with gravity compensation."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ def arm():
 
 @pytest.fixture
 def floating():
-    """Return a function that runs a plant with goals that follow the arm and carry its weight."""
+    """Return a function that runs a plant whose goals follow the arm and carry its weight."""
 
     def run(plant, ticks):
         for _ in range(ticks):

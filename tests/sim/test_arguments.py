@@ -1,4 +1,4 @@
-"""Arguments of plant, hand guiding and identification: rejected with name, value, remedy."""
+"""Invalid arguments of plant, hand guiding and identification: errors with name and remedy."""
 
 import numpy as np
 import pytest
@@ -30,7 +30,7 @@ ARM = pliant.robots.arm7()
         ({"friction_creep": 2.0}, r"friction_creep must be in \[0\.001, 1\], got 2"),
     ],
 )
-def test_a_plant_names_what_it_cannot_take(options, text):
+def test_a_plant_names_invalid_arguments(options, text):
     with pytest.raises((pliant.PliantError, TypeError), match=text):
         Plant(ARM, **options)
 
@@ -66,7 +66,7 @@ def test_another_arms_positions_end_a_procedure():
         identify.capture_gravity(Plant(pliant.robots.so101()), pliant.Controller(ARM))
 
 
-def test_a_simulation_that_diverges_is_no_error_of_a_configuration(monkeypatch):
+def test_a_diverging_simulation_is_not_a_config_error(monkeypatch):
     plant = Plant(ARM)
     monkeypatch.setattr(plant, "_is_passive", lambda: False)
     monkeypatch.setattr(plant, "_step", lambda: plant.mj_data.qpos.fill(np.nan))

@@ -27,14 +27,14 @@ def test_the_handle_runs_on_its_circle(arm, floating, grip, start):
     first = plant.tool[:3, :3].copy()
     for _ in range(18):
         floating(plant, 10)
-        away = plant.tool[:3, 3] - hinge
-        assert np.linalg.norm(away[:2]) == pytest.approx(0.3, abs=2e-3)
-        assert abs(away[2]) < 2e-3
-        assert leaf.angle == pytest.approx(np.arctan2(-away[0], away[1]), abs=0.01)
+        offset = plant.tool[:3, 3] - hinge
+        assert np.linalg.norm(offset[:2]) == pytest.approx(0.3, abs=2e-3)
+        assert abs(offset[2]) < 2e-3
+        assert leaf.angle == pytest.approx(np.arctan2(-offset[0], offset[1]), abs=0.01)
     assert leaf.angle > 0.3
-    turned = plant.tool[:3, :3] @ first.T
+    rotation = plant.tool[:3, :3] @ first.T
     if grip == "rigid":
-        assert np.arctan2(turned[1, 0], turned[0, 0]) == pytest.approx(leaf.angle, abs=0.01)
+        assert np.arctan2(rotation[1, 0], rotation[0, 0]) == pytest.approx(leaf.angle, abs=0.01)
 
 
 def test_hinge_friction_holds_a_weak_pull(arm, floating):

@@ -1,4 +1,4 @@
-"""Hands and walls: size and point of application of their forces, and the recorded forces."""
+"""Hands and walls: magnitude, point of application and record of their forces."""
 
 import numpy as np
 import pytest
@@ -24,8 +24,8 @@ from pliant.sim import (
 ALWAYS = ForceProfile(start=0.0, rise=0.0, end=100.0)
 
 
-def settled(arm, grasp, hand, ticks=800):
-    """Hold the pose with plain servos without friction until everything is at rest."""
+def settle(arm, grasp, hand, ticks=800):
+    """Hold the pose with servos without friction until arm and hand are at rest."""
     plant = Plant(arm, friction_scale=0.0, scene=[hand])
     plant.reset(grasp)
     for _ in range(ticks):
@@ -34,24 +34,24 @@ def settled(arm, grasp, hand, ticks=800):
     return plant
 
 
-@pytest.mark.parametrize("at", ["tool", "wrist", "forearm_link"])
-def test_a_push_reaches_the_joints_as_its_frame_says(arm, grasp, at):
+@pytest.mark.parametrize("frame", ["tool", "wrist", "forearm_link"])
+def test_a_push_reaches_the_joints_as_its_frame_says(arm, grasp, frame):
     force = np.array((2.0, -3.0, 1.0))
-    plant = settled(arm, grasp, Push(force_vector=force, at=at, course=ALWAYS))
-    link = {"tool": "tool", "wrist": "gripper_link"}.get(at, at)
+    plant = settle(arm, grasp, Push(force_vector=force, at=frame, course=ALWAYS))
+    link = {"tool": "tool", "wrist": "gripper_link"}.get(frame, frame)
     text = arm.source[0]
     part = pliant.Model.from_urdf_str(text, base="base", tip=link)
-    pulled = np.zeros(7)
-    pulled[: part.n] = part.jacobian(plant.q[: part.n])[:3].T @ force
-    np.testing.assert_allclose(plant.torque, arm.gravity(plant.q) - pulled, atol=1e-5)
+    expected = np.zeros(7)
+    expected[: part.n] = part.jacobian(plant.q[: part.n])[:3].T @ force
+    np.testing.assert_allclose(plant.torque, arm.gravity(plant.q) - expected, atol=1e-5)
     np.testing.assert_allclose(plant.hands[0].force, force)
 
 
 def test_a_torque_reaches_the_joints(arm, grasp):
     torque = np.array((0.3, -0.2, 0.5))
-    plant = settled(arm, grasp, Push(torque_vector=torque, course=ALWAYS))
-    pulled = arm.jacobian(plant.q)[3:].T @ torque
-    np.testing.assert_allclose(plant.torque, arm.gravity(plant.q) - pulled, atol=1e-5)
+    plant = settle(arm, grasp, Push(torque_vector=torque, course=ALWAYS))
+    expected = arm.jacobian(plant.q)[3:].T @ torque
+    np.testing.assert_allclose(plant.torque, arm.gravity(plant.q) - expected, atol=1e-5)
 
 
 @pytest.mark.parametrize("hand", [DRAG_15N, DRAG_30N, DRAG_80N, TWIST_3NM])
@@ -59,12 +59,12 @@ def test_hands_are_bounded_and_let_go(arm, grasp, floating, hand):
     plant = Plant(arm, scene=[hand])
     plant.reset(grasp)
     floating(plant, 450)
-    felt = plant.hands[0]
-    size = felt.peak_torque if isinstance(hand, Twist) else felt.peak_force
+    record = plant.hands[0]
+    size = record.peak_torque if isinstance(hand, Twist) else record.peak_force
     assert 0.1 < size <= hand.limit + 1e-12
     floating(plant, 100)
-    assert not felt.force.any()
-    assert not felt.torque.any()
+    assert not record.force.any()
+    assert not record.torque.any()
 
 
 def test_a_drag_gets_where_it_wants(arm, grasp, floating):
@@ -156,7 +156,7 @@ def test_hands_can_be_changed_without_building_again(arm, grasp):
     assert plant.hands[0].peak_force == pytest.approx(5.0)
 
 
-def test_the_record_keeps_rows_and_refuses_odd_ones(arm, grasp):
+def test_the_record_keeps_rows_and_names_missing_signals(arm, grasp):
     plant = Plant(arm, scene=[DRAG_15N])
     plant.reset(grasp)
     record = Recorder(plant)
@@ -191,9 +191,7 @@ def test_bad_hands_are_named(make, message):
 
 
 def test_an_unknown_frame_lists_those_there_are(arm):
-    with pytest.raises(
-        pliant.FrameNotFoundError, match=r"no frame 'elbow'.*forearm_link"
-    ) as caught:
+    with pytest.raises(pliant.FrameNotFoundError, match=r"no frame 'elbow'.*forearm_link") as error:
         Plant(arm, scene=[Push(at="elbow")])
-    there = str(caught.value).split("there are ")[1].split(", ")
-    assert len(there) == len(set(there))
+    frames = str(error.value).split("there are ")[1].split(", ")
+    assert len(frames) == len(set(frames))

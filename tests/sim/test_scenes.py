@@ -1,4 +1,4 @@
-"""Drawer, surface, hand-over and socket: simulated forces against values calculated by hand."""
+"""Drawer, surface, hand-over and socket: simulated forces and values calculated by hand."""
 
 import mujoco
 import numpy as np
@@ -13,8 +13,8 @@ def pull(force, start=0.3):
     return Push(force_vector=force, course=ForceProfile(start=start, rise=0.3, end=60.0))
 
 
-def scene(arm, *things, **options):
-    return Plant(arm, friction_scale=0.0, damping_scale=0.2, scene=things, **options)
+def scene(arm, *objects, **options):
+    return Plant(arm, friction_scale=0.0, damping_scale=0.2, scene=objects, **options)
 
 
 def test_a_drawer_slides_on_its_line_to_its_stop(arm, floating):
@@ -24,30 +24,30 @@ def test_a_drawer_slides_on_its_line_to_its_stop(arm, floating):
     plant.reset(AT_DOOR)
     start = plant.tool[:3, 3]
     floating(plant, 300)
-    moved = plant.tool[:3, 3] - start
+    displacement = plant.tool[:3, 3] - start
     assert box.opening == pytest.approx(0.10, abs=2e-3)
-    np.testing.assert_allclose(moved, box.opening * axis, atol=2e-3)
+    np.testing.assert_allclose(displacement, box.opening * axis, atol=2e-3)
     assert box.widest == pytest.approx(box.opening, abs=3e-3)
 
 
-@pytest.mark.parametrize(("across", "opens"), [(0.0, True), (12.0, False)])
-def test_a_drawer_binds_under_a_force_across(arm, floating, across, opens):
-    """A pull of 5 N opens a drawer with 3 N of friction, unless 12 N across add 3.6 N.
+@pytest.mark.parametrize(("side_force", "opens"), [(0.0, True), (12.0, False)])
+def test_a_drawer_binds_under_a_force_across(arm, floating, side_force, opens):
+    """A pull of 5 N opens a drawer with 3 N of friction, unless a side force of 12 N adds 3.6 N.
 
-    The binding factor is 0.3.
+    The ratio of this friction to the side force is 0.3.
     """
     box = drawer()
-    plant = scene(arm, box, pull((-5.0, across, 0.0)))
+    plant = scene(arm, box, pull((-5.0, side_force, 0.0)))
     plant.reset(AT_DOOR)
     floating(plant, 200)
     assert (box.widest > 0.015) is opens
     if not opens:
         assert box.widest < 0.005
-    assert box.across == pytest.approx(across, abs=1.5)
+    assert box.across == pytest.approx(side_force, abs=1.5)
 
 
-def pressed(arm, surface, height, grasp):
-    """Return force and torque on a pad that is held `height` [m] above its start."""
+def press_pad(arm, surface, height, grasp):
+    """Return force [N] and torque [N·m] on a pad that is held `height` [m] above its start."""
     plant = scene(arm, surface)
     plant.reset(grasp)
     frame = plant.ground_truth.frame("tool")
@@ -57,11 +57,11 @@ def pressed(arm, surface, height, grasp):
 
 def test_a_surface_pushes_by_depth_and_not_from_afar(arm, grasp):
     flat = Surface(below=0.01, unevenness=0.0, stiffness=1e4, friction=0.0)
-    force, torque, _ = pressed(arm, flat, -0.012, grasp)
+    force, torque, _ = press_pad(arm, flat, -0.012, grasp)
     np.testing.assert_allclose(force, (0.0, 0.0, 20.0), atol=0.1)
     # The pad is tilted by up to 0.01° in the grasp pose, which causes a small torque.
     np.testing.assert_allclose(torque, 0.0, atol=0.02)
-    force, _, _ = pressed(arm, flat, -0.009, grasp)
+    force, _, _ = press_pad(arm, flat, -0.009, grasp)
     assert not force.any()
 
 
@@ -88,23 +88,25 @@ def test_friction_on_a_surface_is_mu_times_the_normal_force(arm, grasp, floating
 
 
 def test_an_object_is_carried_taken_and_let_go(arm, grasp):
-    thing = HandoverObject(mass=0.5, course=ForceProfile(start=2.0, rise=0.5, end=9.0))
-    plant = Plant(arm, scene=[thing])
+    handover_object = HandoverObject(mass=0.5, course=ForceProfile(start=2.0, rise=0.5, end=9.0))
+    plant = Plant(arm, scene=[handover_object])
     plant.reset(grasp)
-    home = thing.place_of(plant)
+    home = handover_object.place_of(plant)
     plant.advance(1900)
-    assert thing.force == pytest.approx(0.5 * 9.81, rel=0.1)
-    assert thing.effort == 0.0
+    assert handover_object.force == pytest.approx(0.5 * 9.81, rel=0.1)
+    assert handover_object.effort == 0.0
     plant.advance(300)
-    assert thing.effort > 5.0
-    thing.release(plant)
+    assert handover_object.effort > 5.0
+    handover_object.release(plant)
     plant.advance(2500)
-    assert thing.released == pytest.approx(2.2, abs=1e-6)
-    assert thing.force == 0.0
-    np.testing.assert_allclose(thing.place_of(plant) - home, thing.displacement, atol=5e-3)
+    assert handover_object.released == pytest.approx(2.2, abs=1e-6)
+    assert handover_object.force == 0.0
+    np.testing.assert_allclose(
+        handover_object.place_of(plant) - home, handover_object.displacement, atol=5e-3
+    )
 
 
-def down(arm, socket, grasp, depth, ticks=150):
+def insert_plug(arm, socket, grasp, depth, ticks=150):
     """Move the plug straight down by position control along a path of joint positions."""
     plant = Plant(arm, friction_scale=0.0, scene=[socket])
     plant.reset(grasp)
@@ -121,7 +123,7 @@ def down(arm, socket, grasp, depth, ticks=150):
 
 def test_a_plug_goes_into_its_hole_and_ends_on_the_floor(arm, grasp):
     socket = Socket()
-    down(arm, socket, grasp, 0.055)
+    insert_plug(arm, socket, grasp, 0.055)
     assert socket.deepest == pytest.approx(socket.depth, abs=1.5e-3)
     assert socket.peak_along > 1.0
 
@@ -130,20 +132,20 @@ def test_a_tilted_socket_is_turned_by_its_tilt(arm, grasp):
     plant = Plant(arm, scene=[Socket(tilt=(0.0, 0.2, 0.0))])
     plant.reset(grasp)
     mujoco.mj_kinematics(plant.mj_model, plant.mj_data)
-    turned = plant.mj_data.body("socket:frame").xmat.reshape(3, 3) @ plant.tool[:3, :3].T
-    assert np.arctan2(turned[0, 2], turned[2, 2]) == pytest.approx(0.2, abs=1e-9)
+    rotation = plant.mj_data.body("socket:frame").xmat.reshape(3, 3) @ plant.tool[:3, :3].T
+    assert np.arctan2(rotation[0, 2], rotation[2, 2]) == pytest.approx(0.2, abs=1e-9)
 
 
 def test_a_plug_beside_its_hole_stays_out(arm, grasp):
     socket = Socket(offset=(0.02, 0.0, -0.02))
-    down(arm, socket, grasp, 0.055)
+    insert_plug(arm, socket, grasp, 0.055)
     assert socket.deepest < 0.006
     assert socket.peak_along > 3.0
 
 
 def test_a_plug_in_the_air_touches_nothing(arm, grasp):
     socket = Socket()
-    plant = down(arm, socket, grasp, 0.015)
+    plant = insert_plug(arm, socket, grasp, 0.015)
     assert plant.mj_data.ncon == 0
     assert socket.force == socket.peak_along == socket.peak_across == 0.0
 

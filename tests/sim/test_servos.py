@@ -1,4 +1,4 @@
-"""Servo model: torque limit, sag of gravity over stiffness, losses that the limit excludes."""
+"""Servo model: torque limit, sag under gravity, and friction that the limit does not bound."""
 
 import mujoco
 import numpy as np
@@ -92,7 +92,7 @@ def test_energy_only_falls_when_nothing_drives(grasp):
     assert energy[-1] < 1e-3 * energy[0]
 
 
-def test_friction_holds_what_is_weaker(arm, grasp):
+def test_friction_holds_smaller_torques(arm, grasp):
     plant = Plant(arm)
     plant.reset(grasp)
     weak = 0.8 * plant.gains.friction
@@ -104,7 +104,7 @@ def test_friction_holds_what_is_weaker(arm, grasp):
 
 @pytest.mark.parametrize("kind", ["current", "pwm"])
 def test_speed_of_a_saturated_joint(grasp, kind):
-    """The speed of an unloaded joint at its limit is the limit over the outer resistance."""
+    """The final speed of an unloaded joint at its torque limit is the limit over the damping."""
     arm = pliant.robots.arm7(gravity=(0.0, 0.0, 0.0))
     table = pliant.Servos(
         kp=[150.0] * 7,

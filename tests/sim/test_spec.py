@@ -1,4 +1,4 @@
-"""Simulation built from a model: same kinematics and gravity, for every available robot."""
+"""Simulation built from a model: equal kinematics and gravity, for every available robot."""
 
 import json
 import re
@@ -79,12 +79,12 @@ def test_an_unknown_arm_lists_those_there_are():
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_robots_that_people_own_build_and_hold(name):
+def test_real_robots_build_and_hold(name):
     path = ROBOTS / name / FILES[name]
     if not path.exists():
         pytest.skip(f"{path} is not here")
-    told = json.loads((path.parent / "reference_fk.json").read_text(encoding="utf-8"))
-    arm = pliant.Model.from_urdf(str(path), base=told["base"], tip=told["tip"])
+    reference = json.loads((path.parent / "reference_fk.json").read_text(encoding="utf-8"))
+    arm = pliant.Model.from_urdf(str(path), base=reference["base"], tip=reference["tip"])
     plant = Plant(arm)
     lower, upper = np.nan_to_num(arm.lower, neginf=-1.0), np.nan_to_num(arm.upper, posinf=1.0)
     q = (lower + upper) / 2 + 0.1 * (upper - lower)
@@ -98,10 +98,12 @@ def test_servos_are_guessed_from_efforts_or_asked_for():
     assert gains.kp[0] == pytest.approx(7.0 / 0.07)
     assert gains.friction[0] == pytest.approx(0.14)
     assert gains.damping[0] == pytest.approx(0.7)
-    bare = pliant.Model.from_urdf_str(TWO_FINGERS.replace(' effort="7"', ' effort="0"'), tip="tool")
+    bare_model = pliant.Model.from_urdf_str(
+        TWO_FINGERS.replace(' effort="7"', ' effort="0"'), tip="tool"
+    )
     with pytest.raises(pliant.ConfigError, match="servos of swing"):
-        Plant(bare)
-    Plant(bare, pliant.Servos(kp=[10.0], max_torque=[1.0]))
+        Plant(bare_model)
+    Plant(bare_model, pliant.Servos(kp=[10.0], max_torque=[1.0]))
 
 
 def test_fingers_ride_and_follow():
@@ -126,10 +128,10 @@ def test_fingers_ride_and_follow():
 
 def test_the_missing_extra_is_one_line():
     code = "import sys; sys.modules['mujoco'] = None; import pliant; import pliant.sim"
-    done = subprocess.run(
+    result = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60
     )
-    assert done.returncode == 1
-    last = done.stderr.strip().splitlines()[-1]
+    assert result.returncode == 1
+    last = result.stderr.strip().splitlines()[-1]
     assert 'pliant.sim needs the extra "sim": ' in last
     assert re.search(r" install (--python \S+ )?'pliant\[sim\]'$", last)  # pip, or uv without pip

@@ -1,4 +1,4 @@
-"""The table under an arm: every link that can move vertically touches it."""
+"""The table under an arm: links that can move vertically collide with it."""
 
 import numpy as np
 import pytest
@@ -8,14 +8,14 @@ from pliant.sim import Plant, Tabletop
 from pliant.sim._model_builder import rigid_groups
 
 
-def lie(model, q, *, seconds=3.0, table=True, turn=None):
-    """Let an arm without torque sink onto its table from q; return plant and table."""
+def settle_on_table(model, q, *, seconds=3.0, table=True, rotation=None):
+    """Let an arm without torque sink from q onto its table; return plant and table."""
     scene = [Tabletop()] if table else []
     plant = Plant(model, scene=scene)
     plant.reset(q)
-    off = dict.fromkeys(plant.read().extra, (0.0, 0.0))
+    gripper_command = dict.fromkeys(plant.read().extra, (0.0, 0.0))
     for _ in range(round(seconds * plant.rate)):
-        plant.write(plant.q, np.zeros(plant.n), off)
+        plant.write(plant.q, np.zeros(plant.n), gripper_command)
         plant.advance()
     return plant, scene[0] if table else None
 
@@ -23,10 +23,10 @@ def lie(model, q, *, seconds=3.0, table=True, turn=None):
 def test_an_arm_without_torque_comes_to_lie_on_its_table():
     model = pliant.robots.so101()
     q = [0.4, 0.6, 0.5, 0.3, 0.0]
-    plant, table = lie(model, q)
-    falling, _ = lie(model, q, table=False)
+    plant, table = settle_on_table(model, q)
+    without_table, _ = settle_on_table(model, q, table=False)
     weight = 9.81 * sum(link.inertial.mass for link in model.links if link.inertial)
-    assert falling.tool[2, 3] < -0.05, "without a table it hangs below its base"
+    assert without_table.tool[2, 3] < -0.05, "without a table it hangs below its base"
     assert plant.tool[2, 3] > 0.005
     assert abs(table.clearance()) < 1e-4
     assert "gripper" in table.touching
@@ -40,18 +40,18 @@ def test_an_arm_without_torque_comes_to_lie_on_its_table():
     [("koch", [0.0, 1.75, -1.7, 0.0, 0.0]), ("so101", [0.0, 1.5, -1.3, -0.6, 0.0])],
 )
 def test_other_links_than_the_tool_touch_it_too(name, q):
-    _, table = lie(pliant.robots.load(name), q)
+    _, table = settle_on_table(pliant.robots.load(name), q)
     assert {"lower_arm", "gripper"} <= set(table.touching)
 
 
 @pytest.mark.parametrize("name", ["so101", "koch"])
-def test_what_only_turns_about_the_vertical_never_touches(name):
+def test_links_that_only_turn_about_the_vertical_never_touch(name):
     model = pliant.robots.load(name)
     cut = rigid_groups(model, "held")
     table = Tabletop(height=0.5)
     plant = Plant(model, scene=[table])
-    named = {plant.mj_model.geom(geom).name for geom in range(plant.mj_model.ngeom)}
-    names = {name.split(":")[1] for name in named if name.startswith("tabletop:")}
+    geoms = {plant.mj_model.geom(geom).name for geom in range(plant.mj_model.ngeom)}
+    names = {name.split(":")[1] for name in geoms if name.startswith("tabletop:")}
     assert "shoulder" not in names
     assert {"upper_arm", "lower_arm", "wrist", "gripper"} <= names
     assert len(cut) > len(names)
@@ -96,7 +96,7 @@ def test_a_scene_without_a_table_is_as_it_was():
     np.testing.assert_allclose(*ends, atol=1e-12)
 
 
-@pytest.mark.parametrize("wrong", [{"height": np.nan}, {"friction": -1.0}])
-def test_numbers_that_make_no_table_are_refused(wrong):
+@pytest.mark.parametrize("arguments", [{"height": np.nan}, {"friction": -1.0}])
+def test_invalid_numbers_of_a_table_are_refused(arguments):
     with pytest.raises(pliant.ConfigError, match="Tabletop needs"):
-        Tabletop(**wrong)
+        Tabletop(**arguments)

@@ -1,4 +1,4 @@
-"""Ends of programs: by signals, errors, exits; each program is a process on an emulated bus."""
+"""Programs that end by signals, errors and exits; each is a process on an emulated bus."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ with pliant.connect("so101", port=sys.argv[1], **options) as arm:
 
 
 #: A pose 9 cm above the rest pose [rad]: a short descent.
-NEAR = [0.0, -1.5, 1.4, 0.3, 0.0]
+LOW_POSE = [0.0, -1.5, 1.4, 0.3, 0.0]
 
 
-def start(bus, *words, guardian=True):
+def start(bus, *arguments, guardian=True):
     # Start a new session: a signal to its process group then acts like Ctrl-C in a terminal.
     program = Program(
-        "-c", PROGRAM.format(guardian=guardian), bus.port, *words, start_new_session=True
+        "-c", PROGRAM.format(guardian=guardian), bus.port, *arguments, start_new_session=True
     )
     assert program.stdout.readline() == "torque\n", program.communicate()[1]
     return program
@@ -55,15 +55,15 @@ def start(bus, *words, guardian=True):
     ],
 )
 def test_the_arm_is_lowered(ending, code):
-    with EmulatorProcess(so101, NEAR) as bus:
+    with EmulatorProcess(so101, LOW_POSE) as bus:
         program = start(bus, *([] if ending.startswith("SIG") else [ending]))
         # Record from here on, because the sag at torque on is not part of the descent.
         bus.call("recorder.begin")
         high = bus.call("recorder.start")
         if ending.startswith("SIG"):
             os.killpg(program.pid, getattr(signal, ending))
-        _, said = program.communicate(timeout=120)
-        assert program.returncode in code, said
+        _, stderr = program.communicate(timeout=120)
+        assert program.returncode in code, stderr
         # A fall would reach 1 m/s; a busy machine makes a descent faster than usual.
         assert not bus.call("on")
         assert bus.call("plant.tool.tolist")[2][3] < high - 0.02
@@ -72,7 +72,7 @@ def test_the_arm_is_lowered(ending, code):
 
 @pytest.mark.parametrize("guardian", [True, False])
 def test_killed_it_is_lowered_by_its_guardian_and_keeps_its_last_order_without(guardian):
-    with EmulatorProcess(so101, NEAR) as bus:
+    with EmulatorProcess(so101, LOW_POSE) as bus:
         program = start(bus, guardian=guardian)
         height = bus.call("plant.tool.tolist")[2][3]
         program.kill()

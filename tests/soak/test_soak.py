@@ -47,7 +47,7 @@ def test_every_family_is_soaked():
     assert set(FAMILIES) == {"sts", "x", "p1"}
 
 
-def test_what_is_forbidden_is_seen():
+def test_forbidden_behaviour_is_detected():
     with stepped("sts", arm={}, log=10) as (bus, arm):
         arm.open()
         audit = bus.log.watch = Audit(bus, machine=False)

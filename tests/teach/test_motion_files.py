@@ -1,4 +1,4 @@
-"""Motions with invalid numbers and files that cannot be written: explained, early errors."""
+"""Motions with invalid numbers, and files that cannot be written: errors before torque on."""
 
 import json
 
@@ -13,7 +13,7 @@ NAMES = tuple(pliant.robots.so101().joint_names)
 
 
 @pytest.fixture
-def saved(tmp_path):
+def motion_file(tmp_path):
     """Return a valid motion file and its data."""
     path = tmp_path / "m.json"
     time = np.linspace(0.0, 1.0, 11)
@@ -25,36 +25,36 @@ def saved(tmp_path):
     "start",
     ["[NaN, NaN, NaN]", "[0.1, Infinity, 0]", "[1, 2]", "[1" + "0" * 400 + ", 0, 0]", '"abc"', "3"],
 )
-def test_a_place_of_start_that_is_none_is_refused(saved, start):
-    path, data = saved
+def test_an_invalid_start_is_refused(motion_file, start):
+    path, data = motion_file
     path.write_text(json.dumps({**data, "start": "HERE"}).replace('"HERE"', start))
     with pytest.raises(pliant.ConfigError, match=r"m\.json"):
         Motion.load(path)
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("[" * 100_000, "is not a motion file: it is nested too deeply"),
         ('{"format": ' + "1" * 5000 + "}", "is not a motion file"),
         (None, "is not a motion file: int too"),
     ],
 )
-def test_numbers_and_nests_that_are_too_large(saved, text, said, capsys):
-    path, data = saved
+def test_numbers_and_nesting_that_are_too_large(motion_file, text, message, capsys):
+    path, data = motion_file
     if text is None:
         data["samples"][3][1] = 10**400
         text = json.dumps(data)
     path.write_text(text)
-    with pytest.raises(pliant.ConfigError, match=said):
+    with pytest.raises(pliant.ConfigError, match=message):
         Motion.load(path)
     assert main(["replay", "so101", str(path), "--backend", "sim"]) == 2
-    assert said in capsys.readouterr().err
+    assert message in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("factor", [1e-300, 1e-6, 1e6, 1e300])
-def test_times_that_are_no_seconds_are_refused(saved, factor):
-    path, data = saved
+def test_times_that_are_not_in_seconds_are_refused(motion_file, factor):
+    path, data = motion_file
     for row in data["samples"]:
         row[0] *= factor
     path.write_text(json.dumps(data))
@@ -69,12 +69,12 @@ def test_samples_that_are_microseconds_apart_come_back(tmp_path):
     assert np.array_equal(Motion.load(tmp_path / "m.json").time, time)
 
 
-def test_another_format_is_named_once(saved):
-    path, data = saved
+def test_another_format_is_named_once(motion_file):
+    path, data = motion_file
     path.write_text(json.dumps({**data, "format": "pliant motion 9"}))
-    with pytest.raises(pliant.ConfigError) as caught:
+    with pytest.raises(pliant.ConfigError) as error:
         Motion.load(path)
-    message = str(caught.value)
+    message = str(error.value)
     assert message == f"{path}: format is 'pliant motion 9', this pliant reads 'pliant motion 1'"
 
 
@@ -83,8 +83,8 @@ def test_a_motion_as_long_as_floats_is_refused():
         Motion(("a",), [-1.7e308, 1.7e308], [[0.0], [1.0]])
 
 
-def test_smoothing_names_what_it_cannot_do(saved):
-    motion = Motion.load(saved[0])
+def test_smoothing_refuses_invalid_widths_and_rates(motion_file):
+    motion = Motion.load(motion_file[0])
     for width in (np.inf, np.nan, -1.0):
         with pytest.raises(pliant.ConfigError, match="width must be at least 0 s"):
             motion.smoothed(width)
@@ -96,30 +96,30 @@ def test_smoothing_names_what_it_cannot_do(saved):
 
 
 @pytest.mark.parametrize(
-    "words",
+    "command",
     [
         ["teach", "so101", "FILE.json"],
         ["run", "so101", "--log", "FILE.mcap"],
         ["replay", "so101", "m.json", "--log", "FILE.mcap"],
     ],
 )
-@pytest.mark.parametrize("place", ["folder", "/proc", "none"])
-def test_a_file_that_cannot_be_written_is_said_before_torque_comes_on(
-    saved, words, place, capsys, monkeypatch
+@pytest.mark.parametrize("folder", ["folder", "/proc", "none"])
+def test_a_file_that_cannot_be_written_is_reported_before_torque_comes_on(
+    motion_file, command, folder, capsys, monkeypatch
 ):
     pytest.importorskip("mcap", reason="logs need the extra log")
-    path, _ = saved
+    path, _ = motion_file
     monkeypatch.chdir(path.parent)
     switched = []
     monkeypatch.setattr(pliant.arm.Arm, "enable", lambda *_: switched.append(1))
-    *others, file = words
+    *others, file = command
     for suffix in (".json", ".mcap"):
         (path.parent / f"folder{suffix}").mkdir()
     names = {"folder": "folder", "/proc": "/proc/pliant", "none": "none/x"}
-    file = file.replace("FILE", names[place])
+    file = file.replace("FILE", names[folder])
     assert main([*others, file, "--backend", "sim"]) == 2
     error = capsys.readouterr().err
-    assert ("there is no folder" if place == "none" else f"{file} cannot be written") in error
+    assert ("there is no folder" if folder == "none" else f"{file} cannot be written") in error
     assert error.count("\n") == 1
     assert not switched
 

@@ -29,11 +29,11 @@ def wave(seconds=2.0, size=0.3):
     return Motion(NAMES, time, q, {"gripper": np.linspace(0.1, 0.5, 101)})
 
 
-def play(motion, scene=(), seconds=30.0, during=lambda replay, tick: None, **options):
-    """Replay a motion on an SO-101; return the replay, an array of rows, and the final state.
+def play(motion, scene=(), seconds=30.0, on_tick=lambda replay, tick: None, **options):
+    """Replay a motion on an SO-101; return the replay, an array with a row per tick, and the state.
 
-    The row of a tick has its time [s], the replay's time [s], the hand's force [N], the tool's
-    position (3,) [m], and the position in the motion (3,) [m].
+    A row has the time [s], the time in the motion [s], the force of the hand [N], and the positions
+    of the tool (3,) [m] and of the motion (3,) [m]. The state is the last reading of the arm.
     """
     rows = []
     with bare_arm("so101", q=START, scene=scene, on_exit="leave_enabled") as arm:
@@ -43,9 +43,9 @@ def play(motion, scene=(), seconds=30.0, during=lambda replay, tick: None, **opt
             tick.write(replay.step(tick.q, dt=tick.dt), replay.extra(arm))
             plant = arm.drive.plant
             force = float(np.linalg.norm(plant.hands[0].force)) if scene else 0.0
-            want = MODEL.forward_kinematics(motion.at(replay.time))[:3, 3]
-            rows.append((tick.began, replay.time, force, *plant.tool[:3, 3], *want))
-            during(replay, tick)
+            expected = MODEL.forward_kinematics(motion.at(replay.time))[:3, 3]
+            rows.append((tick.began, replay.time, force, *plant.tool[:3, 3], *expected))
+            on_tick(replay, tick)
             if replay.done:
                 break
         return replay, np.array(rows), tick.state
@@ -56,11 +56,11 @@ def test_a_hand_teaches_and_the_arm_repeats(tmp_path):
     hand = Drag(axis="y", distance=0.06, stiffness=2000.0, limit=60.0, at="tool", course=course)
     with bare_arm("so101", q=START, scene=[hand], on_exit="leave_enabled") as arm:
         motion = record(arm, idle_timeout=1.0)
-        led = arm.drive.plant.tool[:3, 3]
+        tool = arm.drive.plant.tool[:3, 3]
     ends = [MODEL.forward_kinematics(q)[:3, 3] for q in (motion.q[0], motion.q[-1])]
     assert 1.5 < motion.duration < 3.5  # trimmed
     assert ends[1][1] - ends[0][1] > 0.05
-    assert np.linalg.norm(ends[1] - led) < 0.005
+    assert np.linalg.norm(ends[1] - tool) < 0.005
     motion.save(tmp_path / "m.json")
     replay, rows, _ = play(Motion.load(tmp_path / "m.json"))
     assert replay.done
@@ -74,11 +74,11 @@ def test_a_blocked_replay_waits_without_force_and_goes_on():
     course = ForceProfile(start=3.0, rise=0.0, end=7.0)
     wall = Drag(axis="y", distance=0.0, stiffness=3000.0, limit=60.0, at="tool", course=course)
     replay, rows, _ = play(wave(4.0, 0.6), [wall])
-    blocked = (rows[:, 0] > 5.0) & (rows[:, 0] < 7.0)
+    is_blocked = (rows[:, 0] > 5.0) & (rows[:, 0] < 7.0)
     assert free.blocked_time == 0.0
-    assert np.ptp(rows[blocked, 1]) < 1e-9  # the motion's clock stands still
-    assert 0.5 < np.median(rows[blocked, 2]) < 3.0  # the cap is 2 N
-    assert np.ptp(rows[blocked, 2]) < 0.5
+    assert np.ptp(rows[is_blocked, 1]) < 1e-9  # the motion's clock stands still
+    assert 0.5 < np.median(rows[is_blocked, 2]) < 3.0  # the cap is 2 N
+    assert np.ptp(rows[is_blocked, 2]) < 0.5
     assert replay.done
     assert np.linalg.norm(rows[-1, 3:6] - rows[-1, 6:9]) < 0.006
     assert replay.blocked_time > 1.5
@@ -103,21 +103,21 @@ def test_a_contact_stops_it_until_it_is_told_to_go_on():
         if replay.state == "stopped" and tick.began > 6.5:
             replay.resume()
 
-    settled = wave(5.0, 0.4)
-    replay, rows, _ = play(settled, [hand], during=note, stop=5.0)
-    stopped = np.array([state == "stopped" for state in states])
+    still_motion = wave(5.0, 0.4)
+    replay, rows, _ = play(still_motion, [hand], on_tick=note, stop=5.0)
+    is_stopped = np.array([state == "stopped" for state in states])
     assert replay.stops == 1
-    assert rows[stopped, 0].min() < 4.5
-    assert np.ptp(rows[stopped, 1]) == 0.0
+    assert rows[is_stopped, 0].min() < 4.5
+    assert np.ptp(rows[is_stopped, 1]) == 0.0
     assert replay.done
     controller = pliant.Controller(MODEL, SETTINGS)
     for stop in (0.1, np.nan, np.inf):
         with pytest.raises(pliant.OutOfRangeError, match=r"stop \[N\] = .* is outside") as error:
-            Replay(controller, settled, stop=stop)
-    said = str(error.value)
-    # The message does not name arguments of `ContactEstimator`, and its bound is accepted.
-    assert not {"accept", "guard", "touch", "kp_error"} & set(re.findall(r"\w+", said))
-    Replay(controller, settled, stop=float(said.split("[")[2].split(",", maxsplit=1)[0]))
+            Replay(controller, still_motion, stop=stop)
+    message = str(error.value)
+    # The message names no argument of `ContactEstimator`, and the bound in it is accepted.
+    assert not {"accept", "guard", "touch", "kp_error"} & set(re.findall(r"\w+", message))
+    Replay(controller, still_motion, stop=float(message.split("[")[2].split(",", maxsplit=1)[0]))
 
 
 def test_a_press_of_the_gripper_counts_once():
@@ -125,9 +125,12 @@ def test_a_press_of_the_gripper_counts_once():
         teacher, state = Teacher(arm), arm.read()
         jaw = arm.gripper
         shares = [0.5, 0.1, 0.05, 0.5, 0.0]
-        places = [jaw.closed + share * (jaw.opened - jaw.closed) for share in shares]
-        pressed = [teacher.gripper_pressed(replace(state, extra={"gripper": at})) for at in places]
-        assert pressed == [False, True, False, False, True]
+        positions = [jaw.closed + share * (jaw.opened - jaw.closed) for share in shares]
+        presses = [
+            teacher.gripper_pressed(replace(state, extra={"gripper": position}))
+            for position in positions
+        ]
+        assert presses == [False, True, False, False, True]
         assert teacher.extra(state)["gripper"][1] < 0.5 * jaw.limit
 
 
@@ -137,12 +140,12 @@ def test_trim_smooth_and_interpolate():
     q[:, 1] = np.clip(time - 2.0, 0.0, 1.0)
     tremor = 0.004 * np.random.default_rng(1).standard_normal(600)
     motion = replace(wave(), time=time, q=q, extra={})
-    trimmed = motion.trimmed()
-    assert trimmed.duration == pytest.approx(1.4, abs=0.06)
-    smooth = replace(trimmed, q=trimmed.q + tremor[: len(trimmed.time), None]).smoothed()
-    inside = slice(20, -20)
-    ideal = np.interp(smooth.time, trimmed.time, trimmed.q[:, 1])
-    assert np.abs(smooth.q[inside, 1] - ideal[inside]).max() < 0.003
+    short = motion.trimmed()
+    assert short.duration == pytest.approx(1.4, abs=0.06)
+    smooth = replace(short, q=short.q + tremor[: len(short.time), None]).smoothed()
+    interior = slice(20, -20)
+    ideal = np.interp(smooth.time, short.time, short.q[:, 1])
+    assert np.abs(smooth.q[interior, 1] - ideal[interior]).max() < 0.003
     exact = np.interp(0.777, wave().time, wave().q[:, 0])
     assert wave().at(0.777)[0] == pytest.approx(exact, abs=1e-4)
     np.testing.assert_array_equal(wave().at(wave().time[30]), wave().q[30])
@@ -152,7 +155,7 @@ def test_trim_smooth_and_interpolate():
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("change", "message"),
     [
         ({"joints": NAMES[:4]}, "4 joints"),
         ({"time": np.zeros(101)}, "rise: sample 2 is at 0 s"),
@@ -160,8 +163,8 @@ def test_trim_smooth_and_interpolate():
         ({"extra": {"gripper": [0.0]}}, "as many"),
     ],
 )
-def test_a_motion_that_is_none_is_refused(change, words):
-    with pytest.raises(pliant.ConfigError, match=words):
+def test_an_invalid_motion_is_refused(change, message):
+    with pytest.raises(pliant.ConfigError, match=message):
         replace(wave(), **change)
 
 
@@ -181,7 +184,7 @@ def test_a_motion_of_another_arm_is_refused(tmp_path):
         assert error.type is pliant.PliantError, "nothing is wrong with a configuration"
 
 
-def test_a_recording_in_which_nothing_was_led_is_no_error_of_a_configuration():
+def test_a_recording_without_motion_is_not_a_config_error():
     with bare_arm("so101", q=START, on_exit="leave_enabled") as arm:
         with pytest.raises(pliant.PliantError, match="nothing was recorded") as error:
             Teacher(arm).stop()
@@ -195,10 +198,10 @@ def test_a_recording_in_which_nothing_was_led_is_no_error_of_a_configuration():
 
 def test_an_arm_whose_joints_have_the_same_names_is_told_apart_by_its_tool(tmp_path):
     wave().for_model(MODEL).save(tmp_path / "m.json")
-    loaded = Motion.load(tmp_path / "m.json")
-    loaded.validate_for(MODEL)
+    stored_motion = Motion.load(tmp_path / "m.json")
+    stored_motion.validate_for(MODEL)
     with pytest.raises(pliant.ConfigError, match=r"another arm's.* koch_like"):
-        loaded.validate_for(pliant.robots.koch())
+        stored_motion.validate_for(pliant.robots.koch())
     wave().validate_for(pliant.robots.koch())  # accepted, because the motion has no `start`
 
 
@@ -208,24 +211,24 @@ def test_bounds_are_kept_and_what_is_slower_stays():
     calm = retime(wave(), (speed, acceleration, jerk), rate)
     assert np.abs(calm.q - [wave().at(t) for t in calm.time]).max() < 0.001
     fast = replace(wave(), time=0.25 * wave().time)
-    kept = retime(fast, (speed, acceleration, jerk), rate)
-    first = np.diff(kept.q, axis=0) * rate
+    retimed = retime(fast, (speed, acceleration, jerk), rate)
+    first = np.diff(retimed.q, axis=0) * rate
     second = np.diff(first, axis=0) * rate
     third = np.diff(second, axis=0) * rate
     assert np.abs(first).max() < 1.001 * speed
     assert np.abs(second).max() < 1.001 * acceleration
     assert np.abs(third).max() < 1.001 * jerk
     assert np.abs(np.diff(fast.smoothed(0.0, rate).q, 3, axis=0)).max() * rate**3 > jerk
-    np.testing.assert_allclose(kept.q[[0, -1]], fast.q[[0, -1]], atol=1e-6)
-    assert fast.duration < kept.duration < 2.5 * fast.duration
-    back = np.maximum.accumulate(kept.q[:, 0]) - kept.q[:, 0]
+    np.testing.assert_allclose(retimed.q[[0, -1]], fast.q[[0, -1]], atol=1e-6)
+    assert fast.duration < retimed.duration < 2.5 * fast.duration
+    back = np.maximum.accumulate(retimed.q[:, 0]) - retimed.q[:, 0]
     assert back.max() < 0.001  # no motion backward at the start, and no overshoot at the end
     with pytest.raises(pliant.ConfigError, match="above 0"):
         retime(fast, (1.0, 0.0, 1.0))
 
 
 @pytest.mark.parametrize(
-    ("name", "text", "words"),
+    ("name", "text", "message"),
     [
         ("m.json", "{", "m.json is not a motion file: Expecting"),
         (
@@ -237,11 +240,11 @@ def test_bounds_are_kept_and_what_is_slower_stays():
         ("m.mcap", "\x89MCAP0\r\n", "m.mcap is not a log of pliant: it ends before"),
     ],
 )
-def test_a_broken_file_is_named_with_what_is_wrong(tmp_path, capsys, name, text, words):
+def test_an_invalid_file_is_named_with_the_reason(tmp_path, capsys, name, text, message):
     pytest.importorskip("mcap")
     (tmp_path / name).write_bytes(text.encode("latin-1"))
     assert main(["replay", "so101", str(tmp_path / name), "--backend", "sim"]) == 2
-    assert words in capsys.readouterr().err
+    assert message in capsys.readouterr().err
 
 
 def test_a_missing_file_is_named_with_those_that_are_there(tmp_path, capsys):
@@ -251,7 +254,7 @@ def test_a_missing_file_is_named_with_those_that_are_there(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("flags", "words"),
+    ("flags", "message"),
     [
         (["--soft", "y=-2"], "--soft y=-2: a cap is a number from 0 up"),
         (["--soft", "y=nan"], "got nan"),
@@ -260,11 +263,11 @@ def test_a_missing_file_is_named_with_those_that_are_there(tmp_path, capsys):
         (["--speed", "50"], "speed must be in [0.05, 3]"),
     ],
 )
-def test_bad_flags_of_replay_are_named(tmp_path, capsys, flags, words):
+def test_bad_flags_of_replay_are_named(tmp_path, capsys, flags, message):
     wave().save(tmp_path / "wave.json")
     file = str(tmp_path / "wave.json")
     assert main(["replay", "so101", file, "--backend", "sim", *flags]) == 2
-    assert words in capsys.readouterr().err
+    assert message in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("backend", ["sim", "emulator"])
@@ -285,14 +288,14 @@ def test_the_command_plays_and_logs(tmp_path, backend, capsys, monkeypatch):
     assert main(["replay", arm, str(log), "--backend", backend, "--stop", "0.01"]) == 2
 
 
-def was_led(file):
-    """Check that the motion in a file is the one of the scripted hand."""
+def assert_scripted_motion(file):
+    """Check that the file contains the motion of the scripted hand."""
     motion = Motion.load(file)
     model = pliant.robots.so101()
     tool = np.array([model.forward_kinematics(q)[:3, 3] for q in motion.q])
-    moved = tool[-1] - tool[0]
-    assert moved[1] == pytest.approx(lead.SIDE_SHARE * model.reach, abs=0.02)
-    assert moved[2] > 0.005
+    displacement = tool[-1] - tool[0]
+    assert displacement[1] == pytest.approx(lead.SIDE_SHARE * model.reach, abs=0.02)
+    assert displacement[2] > 0.005
 
 
 # The test with the emulator is in tests/cli/test_between_ticks.py.
@@ -304,7 +307,7 @@ def test_the_command_teaches_with_a_scripted_hand(tmp_path, capsys, monkeypatch)
         == 0
     )
     assert "pliant replay" in capsys.readouterr().out
-    was_led(file)
+    assert_scripted_motion(file)
 
 
 def test_no_scripted_hand_leads_a_real_arm(tmp_path, capsys):
@@ -317,9 +320,9 @@ def test_the_command_teaches_nothing_without_a_hand(tmp_path, capsys):
     file = tmp_path / "m.json"
     flags = ["teach", "so101", str(file), "--backend", "sim", "--duration", "1"]
     assert main(flags) == 2
-    told = capsys.readouterr()
-    assert "do not touch" in told.out
-    assert "nothing moved" in told.err
+    captured = capsys.readouterr()
+    assert "do not touch" in captured.out
+    assert "nothing moved" in captured.err
     assert not file.exists()
     assert main(["teach", "so101", str(tmp_path / "m.txt"), "--backend", "sim"]) == 2
     assert main(["teach", "arm7", str(file), "--by", "gripper"]) == 2

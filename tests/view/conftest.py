@@ -1,4 +1,4 @@
-"""Stand-in for the link to the page: scripted messages, and a list of the snapshots."""
+"""Stand-in for the link to the page: it sends scripted messages and records the snapshots."""
 
 from __future__ import annotations
 
@@ -11,25 +11,25 @@ pytest.importorskip("mjviser", reason="the page needs mjviser: pip install 'plia
 class Script:
     """Stand-in for a `Link` with scripted messages.
 
-    `at` maps the number of a call of `messages()` to the messages that this call returns.
+    `by_call` maps the number of a call of `messages()` to the messages that this call returns.
     """
 
-    def __init__(self, at, every=3):
-        self.at, self.every = dict(at), every
+    def __init__(self, by_call, period=3):
+        self.at, self.every = dict(by_call), period
         self.calls = 0
         self.infos, self.snapshots, self.watchers = [], [], []
 
     def messages(self):
         self.calls += 1
-        got = self.at.pop(self.calls, ())
-        return list(got) if isinstance(got, list | tuple) else [got]
+        orders = self.at.pop(self.calls, ())
+        return list(orders) if isinstance(orders, list | tuple) else [orders]
 
     def due(self):
         return self.calls % self.every == 0
 
-    def send(self, word):
-        is_snapshot = hasattr(word, "qpos")
-        (self.snapshots if is_snapshot else self.infos).append(word)
+    def send(self, message):
+        is_snapshot = hasattr(message, "qpos")
+        (self.snapshots if is_snapshot else self.infos).append(message)
 
     @property
     def running(self):

@@ -1,4 +1,4 @@
-"""The page in a real browser: a user's actions, and the reaction of the arm.
+"""The page in a real browser: actions of a user, and reactions of the arm.
 
 Rendering in software takes most of the CPU time, so these tests do not measure speed: every step
 waits until the page shows the expected state. `make test` opens the page and pushes the arm; `make
@@ -48,11 +48,11 @@ SIZE = {"width": 1060, "height": 560}
 #: Timeout for each expected state of the page [s].
 PATIENCE = 60.0
 #: Unit vectors to the left and upward, in base axes.
-LEFT, UP = np.eye(3)[1:]
+LEFTWARD, UPWARD = np.eye(3)[1:]
 
 
 def standing():
-    """Return the simulated arm in the state that the page shows first."""
+    """Return a simulated arm in the pose that the page shows first."""
     plant = Plant(pliant.robots.arm7())
     plant.reset(VERTICAL)
     return plant
@@ -91,8 +91,8 @@ class View:
         """Send a signal to the program; return its output and exit code."""
         if self.process.poll() is None:
             self.process.send_signal(number)
-        said = self.process.communicate(timeout=PATIENCE)[0]
-        return said, self.process.returncode
+        output = self.process.communicate(timeout=PATIENCE)[0]
+        return output, self.process.returncode
 
 
 class Tab:
@@ -113,31 +113,31 @@ class Tab:
     def text(self):
         return self.page.evaluate("() => document.body.innerText")
 
-    def wait(self, found, what):
-        """Wait until `found(text)` is true for the text of the page, and return its result."""
+    def wait(self, find, description):
+        """Wait until `find(text)` is true for the text of the page, and return its result."""
         end = time.monotonic() + PATIENCE
         while time.monotonic() < end:
             text = self.text
-            value = found(text)
+            value = find(text)
             if value:
                 return value
             self.page.wait_for_timeout(150)
-        raise AssertionError(f"the page never showed {what}; it shows:\n{text}")
+        raise AssertionError(f"the page never showed {description}; it shows:\n{text}")
 
-    def sees(self, words):
-        return self.wait(lambda text: words in text, repr(words))
+    def sees(self, phrase):
+        return self.wait(lambda text: phrase in text, repr(phrase))
 
     def place(self, name):
-        """Return the position of the tool or of the target [mm]."""
+        """Return the position (3,) [mm] that the page shows for the tool or the target."""
         pattern = rf"{name} x (-?\d+), y (-?\d+), z (-?\d+) mm"
-        found = self.wait(lambda text: re.search(pattern, text), f"the place of the {name}")
-        return np.array([int(number) for number in found.groups()])
+        match = self.wait(lambda text: re.search(pattern, text), f"the place of the {name}")
+        return np.array([int(number) for number in match.groups()])
 
-    def press(self, words):
-        self.page.get_by_role("button", name=words, exact=True).dispatch_event("click")
+    def press(self, label):
+        self.page.get_by_role("button", name=label, exact=True).dispatch_event("click")
 
     def canvas(self):
-        """Return left, top, width and height of the scene [px]."""
+        """Return left, top, width and height of the canvas of the scene [px]."""
         boxes = [canvas.bounding_box() for canvas in self.page.locator("canvas").all()]
         box = max(filter(None, boxes), key=lambda b: b["width"] * b["height"])
         return box["x"], box["y"], box["width"], box["height"]
@@ -146,13 +146,13 @@ class Tab:
         """Return the pixel at which the initial camera draws a point (3,) [m] of the scene."""
         plant = standing()
         middle, eye = camera_view(plant.mj_model, plant.mj_data, plant.tool[:3, 3], GIZMO_SIZE)
-        ahead = (middle - eye) / np.linalg.norm(middle - eye)
-        right = np.cross(ahead, (0.0, 0.0, 1.0))
+        forward = (middle - eye) / np.linalg.norm(middle - eye)
+        right = np.cross(forward, (0.0, 0.0, 1.0))
         right /= np.linalg.norm(right)
-        up = np.cross(right, ahead)
+        up = np.cross(right, forward)
         rel = np.asarray(point) - eye
         left, top, width, height = self.canvas()
-        scale = 0.5 * height / np.tan(0.5 * FOV) / (ahead @ rel)
+        scale = 0.5 * height / np.tan(0.5 * FOV) / (forward @ rel)
         return left + 0.5 * width + scale * (right @ rel), top + 0.5 * height - scale * (up @ rel)
 
     def drag(self, start, end, *, release=True):
@@ -170,63 +170,65 @@ class Tab:
 @pytest.fixture(scope="module")
 def browser():
     with sync_api.sync_playwright() as playwright:
-        made = playwright.chromium.launch(executable_path=BROWSER, args=list(FLAGS))
-        yield made
-        made.close()
+        instance = playwright.chromium.launch(executable_path=BROWSER, args=list(FLAGS))
+        yield instance
+        instance.close()
 
 
 @pytest.fixture
 def context(browser):
-    made = browser.new_context(viewport=SIZE)
-    yield made
-    made.close()
+    page_context = browser.new_context(viewport=SIZE)
+    yield page_context
+    page_context.close()
 
 
 @pytest.fixture(scope="module")
 def shared():
-    made = View()
-    yield made
-    made.end()
+    view_process = View()
+    yield view_process
+    view_process.end()
 
 
 @pytest.fixture
 def view():
-    made = View()
-    yield made
-    made.end(signal.SIGTERM)
+    view_process = View()
+    yield view_process
+    view_process.end(signal.SIGTERM)
 
 
 @pytest.fixture
 def tab(shared, context):
-    made = Tab(context, shared.link)
-    made.press("Target back to the start")
-    made.wait(lambda _: np.abs(made.place("tool") - (380, 0, -280)).max() < 15, "the arm at home")
-    return made
+    new_tab = Tab(context, shared.link)
+    new_tab.press("Target back to the start")
+    new_tab.wait(
+        lambda _: np.abs(new_tab.place("tool") - (380, 0, -280)).max() < 15, "the arm at home"
+    )
+    return new_tab
 
 
 def test_page_loads_with_all_its_parts_and_nothing_from_elsewhere(tab):
-    for words in ("STOP", "Scene", "Softness", "Push", "off target", "torque limit", "100 Hz"):
-        tab.sees(words)
+    for text in ("STOP", "Scene", "Softness", "Push", "off target", "torque limit", "100 Hz"):
+        tab.sees(text)
     assert tab.foreign == []
 
 
 def test_push_moves_the_arm_and_it_comes_back(tab):
-    seen, looks = False, 0
-    # Push again: a busy computer may not update the page during the 2 s of a push.
-    while not seen and looks < 5:
+    has_moved, attempts = False, 0
+    # Push several times: a busy computer may not update the page within the 2 s of a push.
+    while not has_moved and attempts < 5:
         tab.press("Push for 2 s")
-        end, looks = time.monotonic() + 3.0, 0
-        while not seen and time.monotonic() < end:
-            seen, looks = tab.place("tool")[1] > 20, looks + 1
+        end, attempts = time.monotonic() + 3.0, 0
+        while not has_moved and time.monotonic() < end:
+            has_moved, attempts = tab.place("tool")[1] > 20, attempts + 1
             tab.page.wait_for_timeout(150)
-    assert seen, "the page was looked at, and the tool not pushed to the left"
+    assert has_moved, "the page was looked at, and the tool not pushed to the left"
     tab.wait(lambda _: abs(tab.place("tool")[1]) < 15, "the tool back")
 
 
 @pytest.mark.full
 def test_gizmo_drag_moves_target_and_arm(tab):
     home = np.array((0.38, 0.0, -0.28))
-    start, end = tab.pixel(home + UP * 0.13), tab.pixel(home + UP * 0.20)
+    start, end = tab.pixel(home + UPWARD * 0.13), tab.pixel(home + UPWARD * 0.20)
     tab.drag(start, end)
     tab.wait(lambda _: tab.place("target")[2] > -255, "the target dragged upward")
     target = tab.place("target")
@@ -240,7 +242,7 @@ def test_arm_can_be_dragged_and_is_let_go(tab):
     names = ("elbow_pitch", "wrist_yaw")
     forearm = np.mean([plant.mj_data.joint(name).xanchor for name in names], axis=0)
     before = tab.place("tool")
-    tab.drag(tab.pixel(forearm), tab.pixel(forearm + LEFT * 0.15), release=False)
+    tab.drag(tab.pixel(forearm), tab.pixel(forearm + LEFTWARD * 0.15), release=False)
     tab.wait(lambda _: np.abs(tab.place("tool") - before).max() > 8, "the arm pulled along")
     tab.page.mouse.up()
     tab.wait(lambda _: np.abs(tab.place("tool") - before).max() < 20, "the arm let go")
@@ -260,10 +262,10 @@ def test_bad_settings_are_explained_and_the_old_ones_stay(tab):
 @pytest.mark.full
 def test_two_tabs_show_the_same(tab, shared, context):
     other = Tab(context, shared.link)
-    for wanted in (True, False):
+    for expected in (True, False):
         other.page.get_by_role("checkbox").first.dispatch_event("click")
         switch = tab.page.get_by_role("checkbox").first
-        tab.wait(lambda _, on=wanted, box=switch: box.is_checked() is on, "the other's switch")
+        tab.wait(lambda _, on=expected, box=switch: box.is_checked() is on, "the other's switch")
     other.page.close()
     tab.press("Push for 2 s")
     tab.wait(lambda _: tab.place("tool")[1] > 20, "an arm that lives on when a tab closes")
@@ -295,8 +297,8 @@ def test_without_the_token_there_is_no_page(shared, context):
 
 @pytest.mark.full
 def test_two_pages_in_one_browser_leave_each_other_alone(shared, view, context):
-    one, two = Tab(context, shared.link), Tab(context, view.link)
-    for tab in (one, two):
+    first, second = Tab(context, shared.link), Tab(context, view.link)
+    for tab in (first, second):
         tab.page.reload()
         tab.sees("under control")
     assert context.cookies() == []
@@ -305,11 +307,11 @@ def test_two_pages_in_one_browser_leave_each_other_alone(shared, view, context):
 @pytest.mark.full
 def test_no_other_server_on_this_machine_hears_the_token(shared, context):
     tab, token = Tab(context, shared.link), shared.link.partition("token=")[2]
-    heard = []
+    requests = []
 
     class Other(BaseHTTPRequestHandler):
         def do_GET(self):
-            heard.append(f"{self.path} {self.headers}")
+            requests.append(f"{self.path} {self.headers}")
             self.send_response(200)
             self.end_headers()
 
@@ -319,18 +321,18 @@ def test_no_other_server_on_this_machine_hears_the_token(shared, context):
     with HTTPServer(("127.0.0.1", 0), Other) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
         tab.page.evaluate(f"() => {{ location.href = 'http://127.0.0.1:{server.server_port}/' }}")
-        tab.wait(lambda _: heard, "the other server")
+        tab.wait(lambda _: requests, "the other server")
         server.shutdown()
-    assert token not in "".join(heard)
+    assert token not in "".join(requests)
 
 
 @pytest.mark.full
 def test_arm_is_lowered_when_the_page_is_killed(view, context):
     Tab(context, view.link)
     os.kill(view.page_process, signal.SIGKILL)
-    said = view.process.communicate(timeout=PATIENCE)[0]
+    output = view.process.communicate(timeout=PATIENCE)[0]
     assert view.process.returncode == 2
-    assert "the page's process has ended" in said
+    assert "the page's process has ended" in output
 
 
 @pytest.mark.full

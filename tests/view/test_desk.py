@@ -17,7 +17,7 @@ CASES = [(robot, task) for robot, tasks in TASKS.items() for task in tasks]
 
 
 def own_files(task):
-    """Return settings as in configuration files: soft, firm, two given axes, no given axes."""
+    """Return settings of configuration files by name: soft, firm, with two axes, without axes."""
     names = pliant.Task(axes=task).names
     return {
         "soft all": pliant.Settings.soft(" ".join(names), task=task),
@@ -33,9 +33,9 @@ def own_files(task):
     }
 
 
-def begin(robot, task, own=None):
+def begin(robot, task, file_settings=None):
     model = pliant.robots.load(robot)
-    editor = SettingsEditor(task, 100.0, own)
+    editor = SettingsEditor(task, 100.0, file_settings)
     return editor, pliant.Controller(model, editor.effective)
 
 
@@ -58,8 +58,8 @@ def test_every_preset_law_and_switch_works(robot, task):
 @pytest.mark.parametrize(("robot", "task"), CASES)
 def test_own_settings_take_every_law_and_every_edit(robot, task, kind):
     editor, controller = begin(robot, task, own_files(task)[kind])
-    plain = kind in {"firm", "nothing"}
-    assert editor.preset == (editor.presets[1] if plain else FILE_PRESET)
+    has_no_profile = kind in {"firm", "nothing"}
+    assert editor.preset == (editor.presets[1] if has_no_profile else FILE_PRESET)
     for law in LAWS:
         editor.apply(messages.Law(1, law), controller)
         for name in pliant.Task(axes=task).names:
@@ -75,23 +75,26 @@ def test_own_settings_take_every_law_and_every_edit(robot, task, kind):
 
 
 def test_file_that_names_no_soft_axis_begins_like_the_simulated_arm():
-    own = pliant.Settings(
+    file_settings = pliant.Settings(
         task="xyz",
         max_tool_speed=0.1,
         paper_options=pliant.functional.PaperOptions(posture_weights=[1.0, 2.0, 1.0, 1.0, 1.0]),
     )
-    ready, _ = begin("so101", "xyz", own)
-    bare, _ = begin("so101", "xyz")
-    assert (ready.preset, ready.settings.axes) == (bare.preset, bare.settings.axes)
-    assert ready.settings.max_tool_speed[0] == 0.1
-    assert list(ready.settings.paper_options.posture_weights) == list(
-        own.paper_options.posture_weights
+    with_file, _ = begin("so101", "xyz", file_settings)
+    without_file, _ = begin("so101", "xyz")
+    assert (with_file.preset, with_file.settings.axes) == (
+        without_file.preset,
+        without_file.settings.axes,
+    )
+    assert with_file.settings.max_tool_speed[0] == 0.1
+    assert list(with_file.settings.paper_options.posture_weights) == list(
+        file_settings.paper_options.posture_weights
     )
 
 
 def test_no_preset_goes_faster_than_the_file():
-    own = pliant.Settings(task="xyz", max_tool_speed=(0.1, 0.2))
-    editor, controller = begin("so101", "xyz", own)
+    file_settings = pliant.Settings(task="xyz", max_tool_speed=(0.1, 0.2))
+    editor, controller = begin("so101", "xyz", file_settings)
     for preset in editor.presets:
         editor.apply(messages.Preset(1, preset), controller)
         assert controller.settings.max_tool_speed <= (0.1, 0.2)

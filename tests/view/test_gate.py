@@ -1,4 +1,4 @@
-"""Access to the page: a web socket needs the token and the page's origin, but no cookie."""
+"""Access to the page: a web socket needs the token and the origin of the page, but no cookie."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from pliant.view.auth import TokenAuth, is_loopback
 from pliant.view.ipc import Link
 
 HOST = "127.0.0.1:8080"
-OWN = f"http://{HOST}"
+PAGE_ORIGIN = f"http://{HOST}"
 
 
-def ask(gate, path="/", *more, **headers):
-    sent = Headers({"Host": HOST})
-    for name, value in (*headers.items(), *more):
-        sent[name.replace("_", "-")] = value
-    return gate.respond(Request(path, sent))
+def ask(gate, path="/", *extra, **headers):
+    request_headers = Headers({"Host": HOST})
+    for name, value in (*headers.items(), *extra):
+        request_headers[name.replace("_", "-")] = value
+    return gate.respond(Request(path, request_headers))
 
 
-def open_socket(gate, path, *more, **headers):
-    return ask(gate, path, *more, Upgrade="websocket", **headers)
+def open_socket(gate, path, *extra, **headers):
+    return ask(gate, path, *extra, Upgrade="websocket", **headers)
 
 
 def refused(answer):
@@ -39,30 +39,33 @@ def gate():
 
 
 def test_socket_with_the_token_and_its_own_origin_gets_in(gate):
-    assert open_socket(gate, f"/?token={gate.token}", Origin=OWN) is None
+    assert open_socket(gate, f"/?token={gate.token}", Origin=PAGE_ORIGIN) is None
 
 
-@pytest.mark.parametrize("sent", ["", "wrong", "{}x", "é", "{0}&token={0}", "{0}&token=wrong"])
-def test_socket_without_the_token_is_refused(gate, sent):
-    assert refused(open_socket(gate, f"/?token={sent.format(gate.token)}", Origin=OWN))
-    assert refused(open_socket(gate, "/", Origin=OWN))
-    assert refused(open_socket(gate, "/", Origin=OWN, Cookie=f"pliant-view={gate.token}"))
+@pytest.mark.parametrize("headers", ["", "wrong", "{}x", "é", "{0}&token={0}", "{0}&token=wrong"])
+def test_socket_without_the_token_is_refused(gate, headers):
+    assert refused(open_socket(gate, f"/?token={headers.format(gate.token)}", Origin=PAGE_ORIGIN))
+    assert refused(open_socket(gate, "/", Origin=PAGE_ORIGIN))
+    assert refused(open_socket(gate, "/", Origin=PAGE_ORIGIN, Cookie=f"pliant-view={gate.token}"))
 
 
 @pytest.mark.parametrize(
-    "origin", ["null", "", "http://127.0.0.1:9999", "http://example.org", f"{OWN}.example.org"]
+    "origin",
+    ["null", "", "http://127.0.0.1:9999", "http://example.org", f"{PAGE_ORIGIN}.example.org"],
 )
 def test_socket_of_another_origin_is_refused(gate, origin):
     path = f"/?token={gate.token}"
     assert refused(open_socket(gate, path))
     assert refused(open_socket(gate, path, Origin=origin))
-    assert refused(open_socket(gate, path, ("Origin", OWN), Origin=origin))
+    assert refused(open_socket(gate, path, ("Origin", PAGE_ORIGIN), Origin=origin))
 
 
-def test_doubled_headers_are_no_error(gate):
-    twice = ("Upgrade", "websocket")
-    assert refused(open_socket(gate, f"/?token={gate.token}", ("Host", HOST), Origin=OWN))
-    assert isinstance(open_socket(gate, f"/?token={gate.token}", twice, Origin=OWN), Response)
+def test_repeated_headers_are_not_an_error(gate):
+    header = ("Upgrade", "websocket")
+    assert refused(open_socket(gate, f"/?token={gate.token}", ("Host", HOST), Origin=PAGE_ORIGIN))
+    assert isinstance(
+        open_socket(gate, f"/?token={gate.token}", header, Origin=PAGE_ORIGIN), Response
+    )
 
 
 @pytest.mark.parametrize("path", ["/", "/index.html", "/?token=anything", "/?websocket=ws://a"])
@@ -81,25 +84,25 @@ def test_there_is_one_page_and_nothing_else(gate, path):
 
 
 def test_two_pages_on_one_machine_are_open_at_once():
-    with Link(port=8230) as one, Link(port=8230) as two:
-        opened = []
-        for link in (one, two, one):
+    with Link(port=8230) as first, Link(port=8230) as second:
+        sockets = []
+        for link in (first, second, first):
             page, _, token = link.address.partition("/#token=")
             address = f"{page.replace('http', 'ws')}/?token={token}"
-            with connect(address, origin=page, subprotocols=["viser-v1"]) as made:
-                opened.append(made.response.status_code)
-        assert opened == [101, 101, 101]
-        page, token = one.address.partition("/#")[0], two.address.partition("token=")[2]
+            with connect(address, origin=page, subprotocols=["viser-v1"]) as page_socket:
+                sockets.append(page_socket.response.status_code)
+        assert sockets == [101, 101, 101]
+        page, token = first.address.partition("/#")[0], second.address.partition("token=")[2]
         with pytest.raises(InvalidStatus):
             connect(f"{page.replace('http', 'ws')}/?token={token}", origin=page)
 
 
-def test_bytes_that_are_no_request_are_not_an_error_on_the_terminal(capfd):
+def test_invalid_requests_print_no_error(capfd):
     with Link(port=8230) as link:
         port = int(link.address.partition("/#")[0].rpartition(":")[2])
-        with socket.create_connection(("127.0.0.1", port)) as made:
-            made.sendall(b"\x16\x03\x01 nothing that is HTTP\r\n\r\n")
-            made.recv(100)
+        with socket.create_connection(("127.0.0.1", port)) as connection:
+            connection.sendall(b"\x16\x03\x01 nothing that is HTTP\r\n\r\n")
+            connection.recv(100)
     assert "Traceback" not in capfd.readouterr().err
 
 
@@ -113,5 +116,5 @@ def test_tokens_are_long_and_differ():
     ("host", "local"),
     [("127.0.0.1", True), ("::1", True), ("localhost", True), ("0.0.0.0", False), ("robot", False)],
 )
-def test_loopback_is_told_from_the_network(host, local):
+def test_loopback_is_distinguished_from_the_network(host, local):
     assert is_loopback(host) is local

@@ -1,4 +1,4 @@
-"""`Link` to the page's process: start, token, no blocking of the loop, end of the process."""
+"""`Link` to the process of the page: start, token, loop without blocking, end of the process."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from pliant.view.source import Simulated
 
 @pytest.fixture
 def link():
-    with Link(port=8210) as made:
-        yield made
+    with Link(port=8210) as new_link:
+        yield new_link
 
 
 def get(address):
@@ -60,7 +60,7 @@ def test_snapshots_wait_until_the_last_one_was_taken(link):
 
 
 class Quick:
-    """A link that ends the session after some ticks, and counts the snapshots."""
+    """Wrapper of a link that ends the session after some ticks and counts the snapshots."""
 
     def __init__(self, link):
         self.link, self.calls, self.sent = link, 0, 0
@@ -78,41 +78,41 @@ class Quick:
     def due(self):
         return self.link.due()
 
-    def send(self, word):
+    def send(self, message):
         self.sent += 1
-        self.link.send(word)
+        self.link.send(message)
 
 
 def test_next_snapshot_is_wanted_without_a_look_at_the_orders(link):
-    # During the descent no messages are handled, but snapshots are sent.
+    # During the descent the loop sends snapshots, but handles no messages.
     for _ in range(3):
-        until = time.perf_counter() + 20.0
+        deadline = time.perf_counter() + 20.0
         while not link.due():
-            assert time.perf_counter() < until
+            assert time.perf_counter() < deadline
             time.sleep(0.005)
         link.send(np.zeros(10))
 
 
-def flooded():
-    """Return a page endpoint in this process that sends far more messages than one tick handles."""
-    ours, theirs = socket.socketpair()
-    endpoint = PageEndpoint(theirs.detach())
+def flooded_link():
+    """Return a link and its page endpoint, which has far more messages than a tick handles."""
+    local, remote = socket.socketpair()
+    endpoint = PageEndpoint(remote.detach())
     for number in range(20_000):
         endpoint.queue(messages.Change(number, f"axis {number}", {"hold": 1.0}))
         endpoint.queue(messages.Push((1.0, 0.0, 0.0)))
     endpoint.queue(messages.Stop())
-    made = Link.__new__(Link)
-    made._pipe, made._pending = Connection(ours.detach()), messages.Queue()
-    made._acknowledged, made._due, made._edit_due, made._period = True, 0.0, 0.0, 0.0
-    return made, endpoint
+    link = Link.__new__(Link)
+    link._pipe, link._pending = Connection(local.detach()), messages.Queue()
+    link._acknowledged, link._due, link._edit_due, link._period = True, 0.0, 0.0, 0.0
+    return link, endpoint
 
 
 def test_flood_reaches_the_loop_in_small_parts_and_the_stop_at_once():
-    link, _ = flooded()
+    link, _ = flooded_link()
     received, calls = [], 0
-    until = time.perf_counter() + 20.0
+    deadline = time.perf_counter() + 20.0
     while messages.Stop() not in received:
-        assert time.perf_counter() < until
+        assert time.perf_counter() < deadline
         took = link.messages()
         assert len(took) <= messages.PER_TICK
         received += took
@@ -124,10 +124,10 @@ def test_flood_reaches_the_loop_in_small_parts_and_the_stop_at_once():
 
 def test_edits_are_not_taken_faster_than_they_cost(monkeypatch):
     monkeypatch.setattr("pliant.view.ipc.EDIT_PERIOD", 1e9)
-    link, _ = flooded()
-    until, received = time.perf_counter() + 20.0, []
+    link, _ = flooded_link()
+    deadline, received = time.perf_counter() + 20.0, []
     while messages.Stop() not in received:
-        assert time.perf_counter() < until
+        assert time.perf_counter() < deadline
         received += link.messages()
     for _ in range(100):
         received += link.messages()
@@ -135,11 +135,11 @@ def test_edits_are_not_taken_faster_than_they_cost(monkeypatch):
 
 
 def test_page_that_floods_still_takes_snapshots():
-    link, endpoint = flooded()
-    until = time.perf_counter() + 20.0
+    link, endpoint = flooded_link()
+    deadline = time.perf_counter() + 20.0
     for number in range(3):
         while not link.due():
-            assert time.perf_counter() < until
+            assert time.perf_counter() < deadline
             time.sleep(0.005)
         link.send(np.full(3, number))
         np.testing.assert_array_equal(endpoint.receive(), np.full(3, number))
@@ -155,7 +155,7 @@ def test_death_of_the_page_is_noticed(link):
         link.send(np.zeros(3))
 
 
-def test_address_that_is_not_ours_is_explained():
+def test_an_address_of_another_machine_is_explained():
     with pytest.raises(PliantError, match=r"cannot listen on 203\.0\.113\.1:8210"):
         Link("203.0.113.1", 8210)
 

@@ -15,14 +15,14 @@ from pliant.view import messages
 MODEL = pliant.robots.so101()
 
 
-def pose(*place):
+def pose(*position):
     out = np.eye(4)
-    out[:3, 3] = place
+    out[:3, 3] = position
     return out
 
 
 def flood(seed, count=2000):
-    """Return messages of every kind in random order, as from several tabs that flood the page."""
+    """Return messages of every kind in random order, as if several tabs sent too many."""
     draw = random.Random(seed)
     makers = (
         lambda i: messages.Target(pose(0.2, 0.0, 1e-4 * i)),
@@ -46,11 +46,11 @@ def flood(seed, count=2000):
 @pytest.mark.parametrize("seed", range(10))
 def test_flood_is_bounded_and_the_stop_comes_first(seed):
     queue = messages.Queue()
-    sent = flood(seed)
-    for number, message in enumerate(sent):
+    flooded = flood(seed)
+    for number, message in enumerate(flooded):
         queue.put(message)
         assert len(queue) <= messages.MAX_QUEUED
-        if number == len(sent) // 2:
+        if number == len(flooded) // 2:
             queue.put(messages.Stop())
     first = queue.take()
     assert first[0] == messages.Stop()
@@ -58,22 +58,22 @@ def test_flood_is_bounded_and_the_stop_comes_first(seed):
     while len(queue):
         rounds.append(queue.take())
         assert rounds[-1]
-    assert all(len(taken) <= messages.PER_TICK for taken in rounds)
-    assert all(sum(isinstance(o, messages.Edit) for o in taken) <= 1 for taken in rounds)
+    assert all(len(batch) <= messages.PER_TICK for batch in rounds)
+    assert all(sum(isinstance(o, messages.Edit) for o in batch) <= 1 for batch in rounds)
 
 
 @pytest.mark.parametrize("seed", range(10))
 def test_last_edit_and_last_target_are_never_lost(seed):
     queue = messages.Queue()
-    sent = flood(seed)
-    for message in sent:
+    flooded = flood(seed)
+    for message in flooded:
         queue.put(message)
-    taken = []
+    received = []
     while len(queue):
-        taken += queue.take()
+        received += queue.take()
     for kind in (messages.Edit, (messages.Target, messages.Home), messages.Play):
-        assert [o for o in taken if isinstance(o, kind)][-1] is [
-            o for o in sent if isinstance(o, kind)
+        assert [o for o in received if isinstance(o, kind)][-1] is [
+            o for o in flooded if isinstance(o, kind)
         ][-1]
 
 
@@ -99,35 +99,37 @@ def test_later_edits_replace_earlier_ones_without_changing_what_they_mean():
         ([preset, soft], [preset, soft]),
         ([messages.Grab(2, (0, 0, 0), (1, 0, 0)), messages.Grab(2, None, (2, 0, 0))], ...),
     )
-    for put, left in cases:
+    for edits, expected in cases:
         queue = messages.Queue()
-        for message in put:
+        for message in edits:
             queue.put(message)
-        taken = []
+        received = []
         while len(queue):
-            taken += queue.take()
-        assert taken == (put[-1:] if left is None else put if left is ... else left)
+            received += queue.take()
+        assert received == (
+            edits[-1:] if expected is None else edits if expected is ... else expected
+        )
 
 
-BAD = (math.nan, math.inf, -math.inf, 1e300, 150.0, 100.1, 1.0)
+INVALID_NUMBERS = (math.nan, math.inf, -math.inf, 1e300, 150.0, 100.1, 1.0)
 
 
 @pytest.mark.parametrize("axis", range(3))
-@pytest.mark.parametrize("far", [*BAD, -1.0])
-def test_target_out_of_reach_is_refused(axis, far):
-    place = [0.2, 0.0, 0.1]
-    place[axis] = far
+@pytest.mark.parametrize("value", [*INVALID_NUMBERS, -1.0])
+def test_target_out_of_reach_is_refused(axis, value):
+    position = [0.2, 0.0, 0.1]
+    position[axis] = value
     with pytest.raises(ConfigError, match=r"the arm reaches 0\.\d+ m|not finite|e\+300 m"):
-        messages.check_target(messages.Target(pose(*place)), MODEL)
+        messages.check_target(messages.Target(pose(*position)), MODEL)
 
 
 @pytest.mark.parametrize(
-    "wrong",
+    "matrix",
     [np.eye(3), np.zeros((4, 4)), 2.0 * np.eye(4), np.diag((1.0, 1.0, -1.0, 1.0)), "there", None],
 )
-def test_target_that_is_no_pose_is_refused(wrong):
+def test_target_that_is_not_a_pose_is_refused(matrix):
     with pytest.raises(ConfigError, match="target"):
-        messages.check_target(messages.Target(wrong), MODEL)
+        messages.check_target(messages.Target(matrix), MODEL)
 
 
 def test_target_in_reach_is_taken():
@@ -136,17 +138,17 @@ def test_target_in_reach_is_taken():
     )
 
 
-@pytest.mark.parametrize("bad", BAD)
-def test_pushes_and_hands_are_bounded(bad):
+@pytest.mark.parametrize("value", INVALID_NUMBERS)
+def test_pushes_and_hands_are_bounded(value):
     max_push = (0.9, 0.5)
     for message in (
-        messages.Push((0.0, bad, 0.0)),
-        messages.Push((0.0, 0.0, 0.0), (bad, 0.0, 0.0)),
-        messages.Push((0.1, 0.0, 0.0), seconds=bad if bad != 1.0 else 0.0),
+        messages.Push((0.0, value, 0.0)),
+        messages.Push((0.0, 0.0, 0.0), (value, 0.0, 0.0)),
+        messages.Push((0.1, 0.0, 0.0), seconds=value if value != 1.0 else 0.0),
     ):
         with pytest.raises(ConfigError, match="push: "):
             messages.check_push(message, max_push)
-    for place in ((150.0 if bad == 1.0 else bad, 0.0, 0.0), (0.0, 0.0)):
+    for position in ((150.0 if value == 1.0 else value, 0.0, 0.0), (0.0, 0.0)):
         with pytest.raises(ConfigError, match="hand: "):
-            messages.check_grab(messages.Grab(1, None, place))
+            messages.check_grab(messages.Grab(1, None, position))
     messages.check_push(messages.Push((0.9, -0.9, 0.0), (0.5, 0.0, 0.0), 2.0), max_push)

@@ -15,8 +15,8 @@ from pliant.view.source import Simulated
 END = messages.Scene("free")
 
 
-def live(script, at, *, scene="free", robot="arm7", max_sessions=1):
-    link = script(at)
+def run_session(script, robot_script, *, scene="free", robot="arm7", max_sessions=1):
+    link = script(robot_script)
     session = Session(Simulated(robot, scene, paced=False), link)
     session.run(max_sessions)
     return session, link
@@ -27,7 +27,7 @@ def deviation(snapshot, info, axis):
 
 
 def test_the_stage_comes_first_and_describes_the_scene(script):
-    _, link = live(script, {5: END})
+    _, link = run_session(script, {5: END})
     info = link.infos[0]
     assert info.arm == "arm7"
     assert info.scenes.keys() == {"free", "door", "drawer", "wall", "hand-over"}
@@ -37,58 +37,58 @@ def test_the_stage_comes_first_and_describes_the_scene(script):
 
 
 def test_arm_comes_down_after_stop_and_the_page_sees_it(script):
-    _, link = live(script, {30: messages.Stop()})
+    _, link = run_session(script, {30: messages.Stop()})
     assert {s.phase for s in link.snapshots} >= {"running", "lowering"}
     # Snapshots of the descent are sent as often as the link accepts them.
-    down = [s for s in link.snapshots if s.phase == "lowering"]
-    heights = [s.tool[2, 3] for s in down]
+    descent = [s for s in link.snapshots if s.phase == "lowering"]
+    heights = [s.tool[2, 3] for s in descent]
     assert heights[-1] < heights[0] - 0.2
-    assert all(s.step is None for s in down)
+    assert all(s.step is None for s in descent)
 
 
 def test_target_moves_the_tool(script):
     link = script({})
     session = Session(Simulated("arm7", paced=False), link)
-    moved = {}
+    displacements = {}
 
-    def heard(number):
+    def messages_of_call(number):
         if number == 10:
             pose = session.home.copy()
             pose[:3, 3] += (0.0, 0.0, 0.05)
-            moved["to"] = pose
+            displacements["to"] = pose
             return [messages.Target(pose)]
         return [END] if number == 400 else []
 
-    link.messages = counted(link, heard)
+    link.messages = by_call_number(link, messages_of_call)
     session.run(1)
-    at = link.running[-1]
-    assert np.linalg.norm(at.tool[:3, 3] - moved["to"][:3, 3]) < 0.004
-    np.testing.assert_allclose(at.step.target, moved["to"])
+    snapshot = link.running[-1]
+    assert np.linalg.norm(snapshot.tool[:3, 3] - displacements["to"][:3, 3]) < 0.004
+    np.testing.assert_allclose(snapshot.step.target, displacements["to"])
 
 
-def counted(link, heard):
+def by_call_number(link, messages_of_call):
     def orders_of_this_tick():
         link.calls += 1
-        return heard(link.calls)
+        return messages_of_call(link.calls)
 
     return orders_of_this_tick
 
 
 def test_push_moves_the_soft_axis_and_ends_by_itself(script):
     push = messages.Push((0.0, 6.0, 0.0), (0.0, 0.0, 0.0), 1.0)
-    _, link = live(script, {10: push, 400: END})
+    _, link = run_session(script, {10: push, 400: END})
     info = link.infos[0]
-    during = next(s for s in link.running if s.time > link.running[0].time + 0.9)
-    assert deviation(during, info, "y") < -0.05
-    assert during.hand_force is not None
-    np.testing.assert_allclose(during.hand_force[1], (0.0, 6.0, 0.0), atol=0.1)
+    snapshot = next(s for s in link.running if s.time > link.running[0].time + 0.9)
+    assert deviation(snapshot, info, "y") < -0.05
+    assert snapshot.hand_force is not None
+    np.testing.assert_allclose(snapshot.hand_force[1], (0.0, 6.0, 0.0), atol=0.1)
     assert link.running[-1].hand_force is None
     assert abs(deviation(link.running[-1], info, "y")) < 0.02
 
 
 def test_firm_switch_holds_against_the_same_push_and_gives_back(script):
     push = messages.Push((0.0, 6.0, 0.0), (0.0, 0.0, 0.0), 1.5)
-    _, link = live(script, {5: messages.Firm(1, True), 20: push, 170: END})
+    _, link = run_session(script, {5: messages.Firm(1, True), 20: push, 170: END})
     info = link.infos[0]
     assert max(abs(deviation(s, info, "y")) for s in link.running) < 0.02
     last = link.running[-1]
@@ -101,33 +101,33 @@ def test_grab_pulls_a_point_of_the_arm_and_lets_go(script):
     link = script({})
     session = Session(Simulated("arm7", paced=False), link)
 
-    def heard(number):
+    def messages_of_call(number):
         if number == 10:
             body = session._robot.plant.mj_model.site("tool").bodyid[0]
-            here = session._robot.plant.tool[:3, 3]
-            toward = here + np.array((0.0, 0.03, 0.0))
-            return [messages.Grab(int(body), tuple(here), tuple(toward))]
+            position = session._robot.plant.tool[:3, 3]
+            toward = position + np.array((0.0, 0.03, 0.0))
+            return [messages.Grab(int(body), tuple(position), tuple(toward))]
         if number == 100:
             return [messages.LetGo()]
         return [END] if number == 200 else []
 
-    link.messages = counted(link, heard)
+    link.messages = by_call_number(link, messages_of_call)
     session.run(1)
-    pulled = [s for s in link.running if s.hand_force is not None]
-    assert pulled
-    assert pulled[-1].step.deviation[1] < -0.01
+    snapshots = [s for s in link.running if s.hand_force is not None]
+    assert snapshots
+    assert snapshots[-1].step.deviation[1] < -0.01
     assert link.running[-1].hand_force is None
 
 
-def test_grabbing_what_is_no_part_of_the_arm_does_nothing(script):
+def test_grabbing_outside_the_arm_does_nothing(script):
     grab = messages.Grab(0, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0))
     door = messages.Grab(10_000, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0))
-    _, link = live(script, {5: [grab, door, messages.Grab(3, None, (1.0, 0, 0))], 40: END})
+    _, link = run_session(script, {5: [grab, door, messages.Grab(3, None, (1.0, 0, 0))], 40: END})
     assert all(s.hand_force is None for s in link.running)
 
 
 @pytest.mark.parametrize(
-    ("message", "words"),
+    ("message", "error_text"),
     [
         (messages.Change(1, "y", {"soft": (30.0, 30.0)}), "axes.y.soft = 30"),
         (messages.Change(1, "y", {"soft": (float("nan"), 1.0)}), "axes.y.soft"),
@@ -138,13 +138,13 @@ def test_grabbing_what_is_no_part_of_the_arm_does_nothing(script):
         (messages.Law(1, "gravity"), "gravity"),
     ],
 )
-def test_bad_settings_are_said_and_the_old_ones_stay(script, message, words):
-    _, link = live(script, {4: message, 12: END})
+def test_invalid_settings_are_reported_and_the_old_ones_kept(script, message, error_text):
+    _, link = run_session(script, {4: message, 12: END})
     before, after = link.running[0], link.running[-1]
-    count, text, wrong = after.notice
+    count, text, is_error = after.notice
     assert count == 1
-    assert wrong
-    assert words in text
+    assert is_error
+    assert error_text in text
     assert after.edit == 1
     assert after.shown.axes == before.shown.axes
     assert (after.shown.law, after.shown.preset) == (before.shown.law, before.shown.preset)
@@ -156,26 +156,26 @@ def moved(pose, *offset):
     return out
 
 
-@pytest.mark.parametrize("far", [(0.0, 0.0, 150.0), (50.0, 0.0, 0.0), (0.0, np.nan, 0.0)])
-def test_target_out_of_reach_is_said_and_the_old_one_stays(script, far):
+@pytest.mark.parametrize("unreachable", [(0.0, 0.0, 150.0), (50.0, 0.0, 0.0), (0.0, np.nan, 0.0)])
+def test_target_out_of_reach_is_reported_and_the_old_one_kept(script, unreachable):
     link = script({})
     session = Session(Simulated("so101", paced=False), link)
-    near = (0.0, 0.0, -0.02)
-    asked = {10: near, 40: far, 80: (0.0, 0.0, 0.01)}
+    reachable = (0.0, 0.0, -0.02)
+    schedule = {10: reachable, 40: unreachable, 80: (0.0, 0.0, 0.01)}
 
-    def heard(number):
-        if number in asked:
-            return [messages.Target(moved(session.home, *asked[number]))]
+    def messages_of_call(number):
+        if number in schedule:
+            return [messages.Target(moved(session.home, *schedule[number]))]
         return [END] if number == 120 else []
 
-    link.messages = counted(link, heard)
+    link.messages = by_call_number(link, messages_of_call)
     session.run(1)
-    told = [s for s in link.running if s.notice[1]]
-    assert told
-    assert "target" in told[0].notice[1]
-    assert told[0].notice[2]
-    for snapshot in told:
-        np.testing.assert_allclose(snapshot.step.target, moved(session.home, *near))
+    notified = [s for s in link.running if s.notice[1]]
+    assert notified
+    assert "target" in notified[0].notice[1]
+    assert notified[0].notice[2]
+    for snapshot in notified:
+        np.testing.assert_allclose(snapshot.step.target, moved(session.home, *reachable))
     # A valid target removes the message.
     assert link.running[-1].notice[1:] == ("", False)
 
@@ -185,51 +185,51 @@ def test_target_that_only_the_core_refuses_does_not_end_the_life(script, monkeyp
     session = Session(Simulated("so101", paced=False), link)
     monkeypatch.setattr("pliant.view.messages.check_target", lambda message, _: message.pose)
 
-    def heard(number):
+    def messages_of_call(number):
         if number == 20:
             return [messages.Target(moved(session.home, 150.0, 0.0, 0.0))]
         return [END] if number == 60 else []
 
-    link.messages = counted(link, heard)
+    link.messages = by_call_number(link, messages_of_call)
     session.run(1)
     assert "target" in link.running[-1].notice[1]
     np.testing.assert_array_equal(link.running[-1].step.target, session.home)
 
 
 def test_message_of_a_rejected_setting_ends_with_a_valid_one(script):
-    bad, good = messages.Adaptation(1, 1.5), messages.Adaptation(2, 0.5)
-    _, link = live(script, {4: bad, 16: good, 30: END})
+    invalid, valid = messages.Adaptation(1, 1.5), messages.Adaptation(2, 0.5)
+    _, link = run_session(script, {4: invalid, 16: valid, 30: END})
     assert any("adaptation = 1.5" in s.notice[1] for s in link.running)
     assert link.running[-1].notice[1:] == ("", False)
 
 
 def test_message_of_a_rejected_setting_expires(script, monkeypatch):
     monkeypatch.setattr("pliant.view.publisher.MAX_NOTICE_TIME", 0.0)
-    _, link = live(script, {4: messages.Adaptation(1, 1.5), 16: END})
+    _, link = run_session(script, {4: messages.Adaptation(1, 1.5), 16: END})
     assert link.running[-1].notice == (2, "", False)
 
 
-def test_stop_is_not_undone_by_what_comes_with_it(script):
+def test_stop_is_not_undone_by_messages_of_the_same_tick(script):
     together = [messages.Stop(), messages.Scene("door"), messages.Start(), messages.Play()]
-    _, link = live(script, {21: together})
+    _, link = run_session(script, {21: together})
     assert len(link.infos) == 1
     assert link.snapshots[-1].phase == "lowering"
 
 
 def test_torque_on_while_it_is_on_changes_nothing(script):
-    _, link = live(script, {10: messages.Start(), 40: END})
+    _, link = run_session(script, {10: messages.Start(), 40: END})
     assert link.calls == 40
 
 
 def test_all_firm_and_laws_on_a_small_arm(script):
-    asked = {
+    schedule = {
         5: messages.Firm(1, True),
         15: messages.Firm(2, False),
         20: messages.Law(3, "impedance"),
         30: messages.Law(4, "paper"),
         40: END,
     }
-    _, link = live(script, asked, robot="koch")
+    _, link = run_session(script, schedule, robot="koch")
     assert {s.notice[1] for s in link.running} == {""}
     assert {s.shown.law for s in link.running} == {"cap", "impedance", "paper"}
     assert {s.shown.firm for s in link.running} == {True, False}
@@ -237,7 +237,7 @@ def test_all_firm_and_laws_on_a_small_arm(script):
 
 @pytest.mark.parametrize("law", ["impedance", "paper", "cap"])
 def test_laws_change_while_it_runs(script, law):
-    _, link = live(script, {4: messages.Law(1, law), 60: END})
+    _, link = run_session(script, {4: messages.Law(1, law), 60: END})
     last = link.running[-1]
     assert last.notice[1] == ""
     assert last.shown.law == law
@@ -245,10 +245,10 @@ def test_laws_change_while_it_runs(script, law):
 
 
 def test_every_preset_can_be_chosen(script):
-    first, link = live(script, {4: END})
+    first, link = run_session(script, {4: END})
     names = link.infos[0].presets
-    asked = {10 + 6 * i: messages.Preset(i + 1, name) for i, name in enumerate(names)}
-    _, link = live(script, {**asked, 10 + 6 * len(names): END})
+    schedule = {10 + 6 * i: messages.Preset(i + 1, name) for i, name in enumerate(names)}
+    _, link = run_session(script, {**schedule, 10 + 6 * len(names): END})
     assert [s.notice[1] for s in link.running if s.notice[1]] == []
     assert {s.shown.preset for s in link.running} >= set(names)
     assert first.editor.presets == names
@@ -273,19 +273,19 @@ def test_torque_on_again_keeps_the_settings(script):
 
 
 def test_door_opens_when_played(script):
-    session, link = live(script, {10: messages.Play(), 520: END}, scene="door")
+    session, link = run_session(script, {10: messages.Play(), 520: END}, scene="door")
     assert np.rad2deg(session._robot.plant.fixtures[0].widest) > 45.0
     assert link.running[-1].step is not None
 
 
 def test_person_takes_the_object_when_asked(script):
-    session, _ = live(script, {10: messages.Play(), 300: END}, scene="hand-over")
-    thing = session._robot.plant.fixtures[0]
-    assert thing.released is not None
+    session, _ = run_session(script, {10: messages.Play(), 300: END}, scene="hand-over")
+    handover_object = session._robot.plant.fixtures[0]
+    assert handover_object.released is not None
 
 
 def test_wall_meets_little_more_than_the_cap(script):
-    session, link = live(script, {10: messages.Play(), 330: END}, scene="wall")
+    session, link = run_session(script, {10: messages.Play(), 330: END}, scene="wall")
     assert len(link.infos[0].walls) == 1
     wall = session._robot.plant.hands[0]
     assert 4.0 < wall.peak_force < 20.0
@@ -296,12 +296,12 @@ def test_arm_without_a_start_posture_starts_halfway_between_its_limits(script, m
     source = Simulated("other", "wall", paced=False)
     middle = 0.5 * (source.model.lower + source.model.upper)
     np.testing.assert_allclose(source.scenes["wall"].q, middle)
-    _, link = live(script, {10: END}, robot="other")
+    _, link = run_session(script, {10: END}, robot="other")
     assert link.running
 
 
 def test_other_arms_have_scenes_of_their_own(script):
-    _, link = live(script, {30: END}, robot="so101")
+    _, link = run_session(script, {30: END}, robot="so101")
     assert link.infos[0].axes == ("x", "y", "z")
     assert "door" not in link.infos[0].presets
     assert link.running[-1].notice == (0, "", False)
@@ -317,7 +317,7 @@ def test_arm_is_lowered_when_the_page_is_gone(script):
             raise PageGone("the page's process has ended")
         return []
 
-    link.messages = counted(link, gone)
+    link.messages = by_call_number(link, gone)
     session = Session(Simulated("arm7", paced=False), link)
     with pytest.raises(PageGone):
         session.run(1)
@@ -325,18 +325,18 @@ def test_arm_is_lowered_when_the_page_is_gone(script):
     assert session._robot.plant.tool[2, 3] < session.home[2, 3] - 0.2
 
 
-def test_trouble_on_the_bus_is_said_and_torque_can_come_back(script):
+def test_a_bus_error_is_reported_and_torque_can_come_on_again(script):
     link = script({40: messages.Start(), 70: END})
     session = Session(Simulated("arm7", paced=False), link)
     inner = link.messages
-    broken = []
+    failures = []
 
     def trip():
-        got = inner()
-        if link.calls == 20 and not broken:
-            broken.append(True)
+        sample = inner()
+        if link.calls == 20 and not failures:
+            failures.append(True)
             raise ServoError("shoulder: it is too hot")
-        return got
+        return sample
 
     link.messages = trip
     session.run(2)
@@ -353,10 +353,10 @@ def test_page_that_goes_during_the_descent_does_not_stop_it(script):
     session = Session(Simulated("arm7", paced=False), link)
     inner = link.send
 
-    def send(word):
-        if getattr(word, "phase", "") == "lowering":
+    def send(message):
+        if getattr(message, "phase", "") == "lowering":
             raise PageGone("the page's process has ended")
-        inner(word)
+        inner(message)
 
     link.send = send
     session.run(1)

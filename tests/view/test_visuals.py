@@ -41,7 +41,7 @@ def draw(base, arm, urdf):
 
 @pytest.fixture
 def folder(tmp_path):
-    """Make a ROS package with own_description/urdf/own.urdf and own_description/meshes."""
+    """Make a ROS package with an empty folder `urdf` and a folder `meshes`; return its path."""
     meshes = tmp_path / "own_description" / "meshes"
     meshes.mkdir(parents=True)
     (tmp_path / "own_description" / "urdf").mkdir()
@@ -53,15 +53,15 @@ def folder(tmp_path):
 
 def test_meshes_are_found_beside_the_urdf_and_by_package(folder):
     urdf = folder / "urdf" / "own.urdf"
-    inside = folder / "meshes" / "base.stl"
+    mesh = folder / "meshes" / "base.stl"
     for name in (
         "../meshes/base.stl",
         "package://own_description/meshes/base.stl",
         "package://another_name/meshes/base.stl",
-        str(inside),
-        f"file://{inside}",
+        str(mesh),
+        f"file://{mesh}",
     ):
-        assert find_mesh(name, urdf) == inside.resolve()
+        assert find_mesh(name, urdf) == mesh.resolve()
     assert find_mesh("package://own_description/meshes/arm%20link.obj", urdf) is not None
     for name in ("", "base.stl", "package://own_description/meshes/none.stl", "https://a/b.stl"):
         assert find_mesh(name, urdf) is None
@@ -102,9 +102,9 @@ def test_small_arms_have_a_base_and_a_gripper_and_stand_on_their_table(robot):
         table=None,
         home=np.eye(4),
     )
-    drawn = {plant.mj_model.body(b).name for b in _body_meshes(stage)}
-    assert drawn == {f"body:{link.name}" for link in model.links if link.name != "tool"}
-    # Test tool positions above and below the base: a real arm may start anywhere.
+    bodies = {plant.mj_model.body(b).name for b in _body_meshes(stage)}
+    assert bodies == {f"body:{link.name}" for link in model.links if link.name != "tool"}
+    # A real arm may start with its tool above or below the base.
     for height in (0.3, -0.2):
         stage.home[2, 3] = height
         assert _floor_height(stage) == pytest.approx(0.0, abs=1e-9)
