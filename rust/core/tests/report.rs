@@ -131,6 +131,37 @@ fn after_a_host_loss_the_push_starts_at_the_equilibrium() {
     assert!(slip_force(report.torque_limit[0], 0.15) < 0.98 * expected, "a push from 0 rad would need less force");
 }
 
+/// Two springs of 50 and 100 N/m in series along y, with 1 and 3 N of friction, that do not slip: each stretches by
+/// `(F − τ_f)/k` once the push exceeds its friction.
+#[test]
+fn dead_springs_in_series_share_the_push() {
+    let inertial = r#"<inertial><mass value="0.1"/>
+        <inertia ixx="1e-4" ixy="0" ixz="0" iyy="1e-4" iyz="0" izz="1e-4"/></inertial>"#;
+    let joint = |parent: &str, child: &str| {
+        format!(
+            r#"<joint name="{parent}_{child}" type="prismatic"><parent link="{parent}"/><child link="{child}"/>
+            <axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="400" velocity="1"/></joint>"#
+        )
+    };
+    let urdf = format!(
+        r#"<robot name="slides"><link name="base"/><link name="carriage">{inertial}</link>
+        <link name="tool">{inertial}</link>{}{}</robot>"#,
+        joint("base", "carriage"),
+        joint("carriage", "tool")
+    );
+    let options = ModelOptions { gravity: [0.0; 3], ..ModelOptions::default() };
+    let model = Arc::new(Model::from_urdf_str(&urdf, &options).unwrap());
+    let servos = Servos { friction: vec![1.0, 3.0], ..Servos::new(vec![50.0, 100.0], vec![400.0; 2]) };
+    let settings = Settings { task: Task::parse("y").unwrap(), ..Settings::default() };
+    let report = report_at(&Controller::new(model, settings, Some(servos)).unwrap(), &[0.0; 2]).unwrap();
+    // The push of 0.15 m ends within two steps.
+    let [least, most] = [0.15, 0.1561].map(|y| (y + 1.0 / 50.0 + 3.0 / 100.0) / (1.0 / 50.0 + 1.0 / 100.0));
+    assert!(report.torque_limit.iter().all(|limit| *limit > most), "no slip: {:?}", report.torque_limit);
+    for force in report.axes[0].host_loss_force {
+        assert!(force >= least - 1e-6 && force <= most, "{least} {force} {most}");
+    }
+}
+
 #[test]
 fn sides_are_named_by_the_push() {
     let report = report_at(&controller(soft("y", 4.0, 15.0)), &GRASP).unwrap();

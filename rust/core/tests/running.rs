@@ -248,6 +248,19 @@ fn a_payload_change_takes_half_a_second() {
     assert!(Controller::from_snapshot(Arc::clone(controller.model()), Settings::default(), None, &wrong).is_err());
 }
 
+#[test]
+fn removing_a_payload_that_is_not_there_changes_nothing() {
+    let (_, mut controller, target) = make(Settings::default());
+    let mut other = controller.clone();
+    for tick in 0..80 {
+        if tick == 1 {
+            controller.set_payload(None).unwrap();
+        }
+        let command = *controller.step(&Q, &target, &StepInput::default()).unwrap();
+        assert_eq!(command, *other.step(&Q, &target, &StepInput::default()).unwrap(), "tick {tick}");
+    }
+}
+
 /// Settings for servos without inertia, friction and damping: no feed-forward of friction and damping.
 fn frictionless() -> Settings {
     Settings {

@@ -411,4 +411,146 @@ mod tests {
         let mut governor = ReferenceGovernor::new(Pose::IDENTITY);
         assert_eq!(governor.update::<BaselineF64>(&target, [f64::INFINITY; 2], [1.0, 4.0], 0.01), target);
     }
+
+    /// Returns the rotation vector [rad] of a pose.
+    fn turned(pose: &Pose) -> [f64; 3] {
+        let e = pose_error(&Pose::IDENTITY, pose);
+        [e[3], e[4], e[5]]
+    }
+
+    /// Returns the pose displaced by `x` along `axis`, and rotated by `x` about it.
+    fn screw(axis: [f64; 3], x: f64) -> Pose {
+        let vector = axis.map(|a| a * x);
+        Pose { position: vector, rotation: rotation_matrix(vector) }
+    }
+
+    const AXES: [[f64; 3]; 3] = [[1.0, 0.0, 0.0], [0.0, -0.6, 0.8], [0.48, 0.6, -0.64]];
+
+    #[test]
+    fn every_axis_and_the_rotation_about_it_follow_one_motion() {
+        // A jump, a slow target, a target that stops at once, a faster one, and the way back.
+        let at = |tick: u32| match tick {
+            0..60 => 0.3,
+            60..120 => 0.3 + 0.002 * f64::from(tick - 60),
+            120..200 => 0.42,
+            200..260 => 0.42 + 0.01 * f64::from(tick - 200),
+            _ => -0.2,
+        };
+        let (speed, bounds) = ([0.5; 2], [1.5; 2]);
+        let mut first: Vec<f64> = Vec::new();
+        for (number, axis) in AXES.into_iter().enumerate() {
+            let mut governor = ReferenceGovernor::new(Pose::IDENTITY);
+            for tick in 0..500 {
+                let pose = governor.update::<BaselineF64>(&screw(axis, at(tick)), speed, bounds, 0.01);
+                let [along, about] = [pose.position, turned(&pose)].map(|v| dot::<BaselineF64>(&v, &axis));
+                assert!((along - about).abs() < 1e-9, "{axis:?}, tick {tick}: {along} m, {about} rad");
+                for (v, size) in [(pose.position, along), (turned(&pose), about)] {
+                    assert!((norm::<BaselineF64>(&v) - size.abs()).abs() < 1e-9, "off the axis: {v:?}");
+                }
+                let index = tick as usize;
+                if number == 0 {
+                    first.push(along);
+                }
+                assert!((along - first[index]).abs() < 1e-9, "{axis:?}, tick {tick}: {along} {}", first[index]);
+            }
+        }
+    }
+
+    #[test]
+    fn a_target_at_rest_is_reached_in_the_shortest_time() {
+        let (speed, acceleration, dt) = (0.5, 2.0, 0.01);
+        for distance in [0.001, 0.01, 0.03, 0.1, 0.2, 0.6] {
+            // With a trapezoid of speed, or a triangle if the distance is too short for the largest speed.
+            let shortest = if distance > speed * speed / acceleration {
+                distance / speed + speed / acceleration
+            } else {
+                2.0 * f64::sqrt(distance / acceleration)
+            };
+            let mut governor = ReferenceGovernor::new(Pose::IDENTITY);
+            let target = Pose { position: [distance, 0.0, 0.0], ..Pose::IDENTITY };
+            let (mut ticks, mut x) = (0.0, 0.0);
+            while x < distance {
+                let next = governor.update::<BaselineF64>(&target, [speed; 2], [acceleration; 2], dt).position[0];
+                assert!(next > x && next <= distance, "{distance}: {x} {next}");
+                (x, ticks) = (next, ticks + 1.0);
+            }
+            assert!(ticks * dt >= shortest - 2.0 * dt && ticks * dt <= shortest + 4.0 * dt, "{distance}: {ticks}");
+        }
+    }
+
+    #[test]
+    fn a_held_reference_loses_its_share_of_the_motion_along_the_lag_only() {
+        let (far, dt) = (screw([0.0, 1.0, 0.0], 1.0), 0.01);
+        let (moved, lag) = ([1e-4, 2e-4, -1e-4], [0.02, 0.02, 0.01]);
+        let gained = (1e-4 * 0.02 + 2e-4 * 0.02 - 1e-4 * 0.01) / 0.0009;
+        for share in [0.25, 1.0] {
+            // Scale of the lag, which matters only by its direction.
+            for scale in [1.0, 7.0] {
+                for acceleration in [0.1, 100.0] {
+                    let pose = Pose { position: moved, rotation: rotation_matrix(moved) };
+                    let mut governor = ReferenceGovernor { target: far, ..ReferenceGovernor::new(pose) };
+                    let velocity: [f64; 6] = std::array::from_fn(|i| moved[i % 3] / dt);
+                    governor.velocity = velocity;
+                    let both: [f64; 6] = std::array::from_fn(|i| scale * lag[i % 3]);
+                    governor.hold_back(&Pose::IDENTITY, &both, share, [[0.5; 2], [acceleration; 2]], dt);
+                    let got = [governor.pose.position, turned(&governor.pose)];
+                    for (block, deceleration) in [3.0, 12.0].into_iter().enumerate() {
+                        // In units of the lag, whose length is 0.03.
+                        let taken = f64::min(share * gained, (deceleration + acceleration) * dt * dt / 0.03);
+                        for i in 0..3 {
+                            let expected = moved[i] - taken * lag[i];
+                            assert!((got[block][i] - expected).abs() < 1e-12, "{share} {scale} {block}: {got:?}");
+                            let velocity = governor.velocity[3 * block + i];
+                            assert!((velocity - expected / dt).abs() < 1e-10, "{velocity}");
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_reference_is_held_only_if_its_target_is_far() {
+        let finite = [0.5, 1.0];
+        for axis in AXES {
+            for sign in [-1.0, 1.0] {
+                let lags = |metres: f64, radians: f64, speed: [f64; 2]| {
+                    let start = Pose { position: [0.3, -0.2, 0.1], rotation: rotation_matrix([0.4, -0.5, 0.9]) };
+                    let turn = rotation_matrix(axis.map(|a| sign * radians * a));
+                    let target = Pose {
+                        position: std::array::from_fn(|i| start.position[i] + sign * metres * axis[i]),
+                        rotation: multiply::<BaselineF64>(&turn, &start.rotation),
+                    };
+                    ReferenceGovernor { target, ..ReferenceGovernor::new(start) }.lags(speed)
+                };
+                assert_eq!(lags(0.0499, 0.199, finite), [false, false]);
+                assert_eq!(lags(0.0501, 0.199, finite), [true, false]);
+                assert_eq!(lags(0.0499, 0.201, finite), [false, true]);
+                assert_eq!(lags(1.0, 1.0, [0.5, f64::INFINITY]), [true, false]);
+                assert_eq!(lags(1.0, 1.0, [f64::INFINITY, 1.0]), [false, true]);
+            }
+        }
+        for (share, held) in [(1.0, 0.0), (0.9, 0.5), (0.8, 1.0), (0.0, 1.0)] {
+            assert!((hold_fraction(share) - held).abs() < 1e-15, "{share}");
+        }
+    }
+
+    #[test]
+    fn position_and_rotation_arrive_each_for_itself() {
+        let twist = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6];
+        let velocity = [-1.0, -2.0, -3.0, -4.0, -5.0, -6.0];
+        for (target, expected) in [
+            (Pose::IDENTITY, twist),
+            (Pose { position: [0.0, 0.0, 1e-300], ..Pose::IDENTITY }, [-1.0, -2.0, -3.0, 0.4, 0.5, 0.6]),
+            (Pose { rotation: rotation_matrix([0.0, 0.0, 1e-9]), ..Pose::IDENTITY }, [0.1, 0.2, 0.3, -4.0, -5.0, -6.0]),
+            (screw([0.0, 1.0, 0.0], 0.1), velocity),
+        ] {
+            let governor = ReferenceGovernor { velocity, target, ..ReferenceGovernor::new(Pose::IDENTITY) };
+            assert_eq!(governor.velocity(&twist, [10.0; 2]).map(f64::to_bits), expected.map(f64::to_bits));
+        }
+        // Each block of the twist is bounded by its own speed.
+        let governor = ReferenceGovernor::new(Pose::IDENTITY);
+        let bounded = governor.velocity(&[0.0, 3.0, 4.0, 6.0, 0.0, 8.0], [2.5, 20.0]);
+        assert!(bounded.iter().zip([0.0, 1.5, 2.0, 6.0, 0.0, 8.0]).all(|(a, b)| (a - b).abs() < 1e-12), "{bounded:?}");
+    }
 }
