@@ -11,6 +11,7 @@ pytest.importorskip("mujoco", reason="descents run on the simulator: extra sim")
 
 from experiments import descent
 from pliant.arm import _transfer
+from pliant.emulator import Timing
 
 #: By arm: numbers of the runs of `descent.descents` that are always tested. Even runs are in free
 #: air, odd ones over a table. Run 7 of `so101` tests the bound of the force on the table: without
@@ -255,3 +256,18 @@ def test_torque_on_survives_a_computer_that_stalls(arm, monkeypatch):
     run = job.run()
     assert run.moved < 0.03
     assert run.jerk < 0.5
+
+
+def test_an_adapter_that_delays_replies_delays_the_descent_little(monkeypatch):
+    # Goals that move by four times the lead in each tick oscillate until the longest descent.
+    seconds = {}
+    for latency in (0.001, 0.016):
+        timing = Timing(wire=True, usb_latency=latency)
+        monkeypatch.setattr(descent, "Timing", lambda timing=timing, **_: timing)
+        (job,) = (
+            job
+            for job in descent.descents("so101", 1, on_bytes=True)
+            if job.number == 0 and job.over_table
+        )
+        seconds[latency] = job.run().seconds
+    assert seconds[0.016] < 2.0 * seconds[0.001]

@@ -186,7 +186,7 @@ def test_only_an_identified_stiffness_is_written(so101, monkeypatch, unsure):
     names, kp = model.joint_names, 1.2 * np.asarray(model.servos.kp)
     sigma = np.where(np.isin(names, unsure), 0.3, 0.02) * kp
     zeros = np.zeros(model.n)
-    value = dict.fromkeys(("load", "motor", "total", "outer"), zeros) | {
+    value = dict.fromkeys(("load", "motor", "goal_damping", "limit_damping"), zeros) | {
         "kp": kp, "friction": np.full(model.n, 0.05)
     }  # fmt: skip
     solution = Solution(
@@ -194,8 +194,8 @@ def test_only_an_identified_stiffness_is_written(so101, monkeypatch, unsure):
         sigma=dict.fromkeys(value, zeros) | {"kp": sigma},
         payload=np.zeros(4),
         payload_covariance=np.eye(4),
-        separated=np.zeros(4),
-        spread=1.0,
+        sigma_reduction=np.zeros(4),
+        residual_ratio=1.0,
         rows=100,
     )
     rig = Excitation(model, model.servos, 0.01)

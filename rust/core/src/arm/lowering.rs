@@ -43,6 +43,9 @@ const MIN_SPEED_LIMIT: f64 = 0.01;
 const REST_RATE: f64 = 4.0;
 /// Ratio of goal speed to the excess of the lead when descending without a rest pose [1/s].
 const DOWN_RATE: f64 = 40.0;
+/// Largest share of the excess of the lead that a goal moves in one tick. Above 1, the goals of an arm on a slow line
+/// would oscillate.
+const MAX_GAIN: f64 = 0.8;
 /// Time in which the goals' speed rises from zero at the start of a phase [s].
 const FADE_IN: f64 = 0.2;
 /// Largest distance of a joint from the rest pose at which the arm counts as arrived [rad].
@@ -440,8 +443,11 @@ impl Lowering {
         if self.phase == LoweringPhase::Ramp {
             self.release(dt, fastest, lost);
         } else {
-            let mut u =
-                if self.phase == LoweringPhase::Rest { self.toward_rest(dt) } else { self.downward(&here, &gravity) };
+            let mut u = if self.phase == LoweringPhase::Rest {
+                self.toward_rest(dt)
+            } else {
+                self.downward(dt, &here, &gravity)
+            };
             let mut idle = *lost;
             for i in 0..self.n {
                 let blocked = self.is_outward(i, u[i]) || (lost[i] && !self.blind);
@@ -472,11 +478,12 @@ impl Lowering {
     }
 
     /// Returns the goal velocities of the phase `Down` [rad/s], before they are scaled to the allowed speed.
-    fn downward(&self, here: &ArmGeometry, gravity: &JointVec) -> JointVec {
+    fn downward(&self, dt: f64, here: &ArmGeometry, gravity: &JointVec) -> JointVec {
         let load = self.excess_lead(here, gravity);
+        let rate = DOWN_RATE.min(MAX_GAIN / dt.max(MIN_STEP));
         std::array::from_fn(|i| {
             let half = 0.25 * self.encoder_step[i];
-            -DOWN_RATE * (load[i] - clip(load[i], half))
+            -rate * (load[i] - clip(load[i], half))
         })
     }
 
