@@ -36,21 +36,14 @@ from pliant.servo import ServoBus, ServoSpec
 FAMILIES = {"sts": ("so101", "STS3215", "STS3215-7.4V"), "x": ("koch", "XL430-W250", None)}
 #: Poses in which the tool is 3 cm and 32 cm above the end of its descent [rad].
 POSES = {"low": [0.0, 1.5, 0.0, 0.0, 0.0], "high": [0.0, 0.2, 0.0, 0.2, 0.0]}
-SIGNALS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
+NUMBERS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
 #: Largest downward speed of the tool with torque on [m/s]: a descent reaches 0.15, torque on 0.17,
 #: and a falling arm 0.6. No target here is below the tool.
 FASTEST = 0.25
 #: Largest speed [m/s] and motion [m] of the tool once a servo of the chain has lost its torque.
 FASTEST_OFF, FARTHEST_OFF = 0.1, 0.02
 #: Probability of each fault per transaction on a noisy bus.
-FAULT_RATES = {
-    "deaf": 0.02,
-    "lose": 0.02,
-    "corrupt": 0.02,
-    "truncate": 0.01,
-    "noise": 0.02,
-    "late": 0.01,
-}
+NOISY = {"deaf": 0.02, "lose": 0.02, "corrupt": 0.02, "truncate": 0.01, "noise": 0.02, "late": 0.01}
 
 
 class Clock(ManualClock):
@@ -72,29 +65,29 @@ class Clock(ManualClock):
 
 
 class RecordingBus(ServoBus):
-    """Servo bus that stores the torque limits of the last command in `torque_limit` [N·m]."""
+    """Servo bus that stores the torque limits of the last command in `commanded` [N·m]."""
 
-    torque_limit = None
+    commanded = None
 
     def write(self, goal, limit, velocity=None):
-        self.torque_limit = np.array(limit)
+        self.commanded = np.array(limit)
         super().write(goal, limit, velocity)
 
     def enable(self, goal, limit, lead=None):
-        self.torque_limit = np.array(limit)
+        self.commanded = np.array(limit)
         super().enable(goal, limit, lead)
 
 
 class Life(RuleBasedStateMachine):
-    """Random program on a bus with random faults; the test fails if the arm drops."""
+    """Random program on a bus with random faults; it fails if the arm drops."""
 
     poses = ("low",)
 
     def __init__(self):
         super().__init__()
-        self.patch, self.violations, self.arm = pytest.MonkeyPatch(), [], None
-        self.handlers = {n: signal.signal(n, lambda *_: None) for n in SIGNALS}
-        self.is_left, self.interrupts, self.fell_from, self.has_tripped = False, 0, None, False
+        self.patch, self.wrong, self.arm = pytest.MonkeyPatch(), [], None
+        self.handlers = {n: signal.signal(n, lambda *_: None) for n in NUMBERS}
+        self.is_left, self.interrupts, self.fell, self.has_tripped = False, 0, None, False
 
     @initialize(
         family=st.sampled_from(sorted(FAMILIES)),
@@ -140,7 +133,7 @@ class Life(RuleBasedStateMachine):
         self.bus.world.physics.step = watched_step
         self.patch.setattr(self.bus.plant, "write", watched_write)
         if noisy:
-            self.bus.faults.by_chance(**FAULT_RATES)
+            self.bus.faults.by_chance(**NOISY)
         self.connect()
 
     def teardown(self):
@@ -168,48 +161,42 @@ class Life(RuleBasedStateMachine):
 
     def watch(self):
         """Check owner, speed and torque after a step of the physics."""
-        powered = self.powered()
-        if powered.any() and not (self.arm.enabled or self.is_left):
-            self.violations.append(
-                f"{self.bus.time:.2f} s: no program owns the arm, torque {powered}"
-            )
+        on = self.powered()
+        if on.any() and not (self.arm.enabled or self.is_left):
+            self.wrong.append(f"{self.bus.time:.2f} s: nobody owns the arm, torque {on}")
         if self.has_tripped:
             # A servo without torque drops its load.
             return
         tool = self.bus.plant.ground_truth.frame("tool")
-        position, velocity = self.bus.plant.tool[:3, 3].copy(), tool.twist()[:3]
-        if self.was_powered.all() and not powered.all():
-            self.fell_from = position
-        if powered.all():
-            self.fell_from = None
-        self.was_powered = powered
+        place, velocity = self.bus.plant.tool[:3, 3].copy(), tool.twist()[:3]
+        if self.was_on.all() and not on.all():
+            self.fell = place
+        if on.all():
+            self.fell = None
+        self.was_on = on
         too_fast = (
-            -velocity[2] > FASTEST
-            if self.fell_from is None
-            else np.linalg.norm(velocity) > FASTEST_OFF
+            -velocity[2] > FASTEST if self.fell is None else np.linalg.norm(velocity) > FASTEST_OFF
         )
         if too_fast:
-            self.violations.append(
-                f"{self.bus.time:.2f} s: the tool moves at {velocity} m/s, {powered}"
-            )
-        if self.fell_from is not None and np.linalg.norm(position - self.fell_from) > FARTHEST_OFF:
-            self.violations.append(f"{self.bus.time:.2f} s: the tool fell to {position}, {powered}")
+            self.wrong.append(f"{self.bus.time:.2f} s: the tool moves at {velocity} m/s, {on}")
+        if self.fell is not None and np.linalg.norm(place - self.fell) > FARTHEST_OFF:
+            self.wrong.append(f"{self.bus.time:.2f} s: the tool fell to {place}, {on}")
 
-    was_powered = np.zeros(1, dtype=bool)
+    was_on = np.zeros(1, dtype=bool)
 
     def compare(self, limits):
-        """Check that no torque limit in a servo rises above that of the last command."""
-        commanded = self.arm.drive.torque_limit
-        bound = self.in_force
-        if commanded is not None:
-            bound = np.maximum(bound, commanded[: self.n])
+        """Check that no torque limit in a servo rises beyond the limit of the last command."""
+        commanded = self.arm.drive.commanded
+        bound = (
+            self.in_force if commanded is None else np.maximum(self.in_force, commanded[: self.n])
+        )
         if np.any(limits > 1.01 * bound + 1e-6):
-            self.violations.append(f"{self.bus.time:.2f} s: limits {limits}, commanded {commanded}")
+            self.wrong.append(f"{self.bus.time:.2f} s: limits {limits}, commanded {commanded}")
         self.in_force = limits
 
     @invariant()
     def nothing_is_wrong(self):
-        assert not self.violations, self.violations[:5]
+        assert not self.wrong, self.wrong[:5]
 
     # --- Steps of the program ---
 
@@ -220,7 +207,7 @@ class Life(RuleBasedStateMachine):
         ]
         drive = RecordingBus(specs, reply_timeout_min=0.01, clock=self.clock)
         if self.arm is not None:
-            drive.torque_limit = self.arm.drive.torque_limit
+            drive.commanded = self.arm.drive.commanded
         self.arm = Arm(self.model, drive, watchdog=self.watchdog, guardian=False)
 
     def ending(self, action):
@@ -231,15 +218,15 @@ class Life(RuleBasedStateMachine):
             self.excuse(error)
             try:
                 self.arm.close()
-            except (pliant.ServoError, KeyboardInterrupt, SystemExit) as close_error:
-                self.excuse(close_error)
+            except (pliant.ServoError, KeyboardInterrupt, SystemExit) as worse:
+                self.excuse(worse)
             if self.interrupts >= 2:
                 self.is_left = True
 
     def excuse(self, error):
-        """Accept torque on after an error on a dead line, or one that says that torque stays on."""
-        is_reported = "torque may still be on" in str(error) or "torque stays on" in str(error)
-        if self.line.dead or is_reported or self.has_tripped:
+        """Note that torque may stay on: on a line that is dead, or where the error says so."""
+        is_told = "torque may still be on" in str(error) or "torque stays on" in str(error)
+        if self.line.dead or is_told or self.has_tripped:
             self.is_left = True
 
     def settle(self):
@@ -263,20 +250,18 @@ class Life(RuleBasedStateMachine):
     @rule(
         seconds=st.sampled_from([0.1, 0.3, 0.6]),
         soft=st.sampled_from(["y", "x y", "z"]),
-        direction=st.sampled_from(
-            [(0.0, 0.0, 0.0), (0.0, 0.05, 0.0), (0.0, 0.0, 0.04), (0.3, 0.3, 0.3)]
-        ),
+        way=st.sampled_from([(0.0, 0.0, 0.0), (0.0, 0.05, 0.0), (0.0, 0.0, 0.04), (0.3, 0.3, 0.3)]),
     )
-    def run(self, seconds, soft, direction):
+    def run(self, seconds, soft, way):
         def ticks():
             soft_settings = pliant.Settings.soft(soft, task="xyz")
             controller = pliant.Controller(self.arm.model, soft_settings, self.arm.servos)
-            target = self.arm.model.forward_kinematics(self.arm.read().q)[:3, 3] + direction
+            target = self.arm.model.forward_kinematics(self.arm.read().q)[:3, 3] + way
             for tick in pliant.Loop(self.arm, controller, duration=seconds):
                 command = tick.step(target)
-                commanded = self.arm.drive.torque_limit[: self.n]
+                commanded = self.arm.drive.commanded[: self.n]
                 if np.any(commanded > command.torque_limit + 1e-9):
-                    self.violations.append(
+                    self.wrong.append(
                         f"commanded {commanded}, the step gave {command.torque_limit}"
                     )
 
@@ -285,13 +270,13 @@ class Life(RuleBasedStateMachine):
 
     @rule(start=st.sampled_from([0.0, 0.07, 0.4]), seconds=st.sampled_from([0.03, 0.3, 0.7]))
     def silence(self, start, seconds):
-        """Silence the line from `start` [s] from now on, for `seconds`."""
+        """Short-circuit the line in `start` [s], for `seconds`."""
         self.clock.after(start, lambda: setattr(self.line, "dead", True))
         self.clock.after(start + seconds, lambda: setattr(self.line, "dead", False))
 
-    @rule(start=st.sampled_from([0.0, 0.05, 0.5]), number=st.sampled_from(SIGNALS))
+    @rule(start=st.sampled_from([0.0, 0.05, 0.5]), number=st.sampled_from(NUMBERS))
     def signal(self, start, number):
-        """Send a signal to the program after `start` [s], whatever it does then."""
+        """Send a signal to the program in `start` [s], whatever it does at that time."""
         self.clock.after(start, lambda: self.raise_signal(number))
 
     @rule(
@@ -300,7 +285,7 @@ class Life(RuleBasedStateMachine):
         skip=st.integers(0, 60),
     )
     def lose(self, kind, count, skip):
-        """Inject `count` faults of a kind, after `skip` packets without one."""
+        """Lose, delay or damage packets, the next ones or later ones."""
         self.bus.faults.inject(kind, count=count, skip=skip)
 
     @rule(
@@ -309,7 +294,7 @@ class Life(RuleBasedStateMachine):
         joint=st.integers(1, 5),
     )
     def trip(self, start, kind, joint):
-        """Make a servo reset or trip its protection after `start` [s]."""
+        """Let a servo reset, or switch itself off, later."""
 
         def act():
             self.has_tripped = True
@@ -322,15 +307,15 @@ class Life(RuleBasedStateMachine):
 
     @rule(volts=st.sampled_from([4.0, 20.0]), seconds=st.sampled_from([0.1, 1.0]))
     def vary_supply(self, volts, seconds):
-        """Set the supply voltage outside the range of the servos for `seconds`."""
-        nominal = self.bus.servo(1).supply
+        """Change the supply beyond the range of the servos, for a time."""
+        usual = self.bus.servo(1).supply
 
         def act():
             self.has_tripped = True
             self.bus.supply(volts)
 
         self.clock.after(0.0, act)
-        self.clock.after(seconds, lambda: self.bus.supply(nominal))
+        self.clock.after(seconds, lambda: self.bus.supply(usual))
 
     @rule(seconds=st.sampled_from([0.3, 1.5]))
     def stall(self, seconds):
