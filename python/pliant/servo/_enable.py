@@ -281,7 +281,8 @@ def _send_first_command(
         is on: on some servos, the goal switches it on.
 
     Raises:
-        ServoError: The registers still differ from the values written after `MAX_SENDS` attempts.
+        ServoError: After `MAX_SENDS` attempts the registers still differ from the values written,
+            or the joint still moves.
     """
     expected_values = dict(zip(_COMMANDED, command, strict=True))
     start, image = images
@@ -299,11 +300,14 @@ def _send_first_command(
             _send(device, ports, names[0], data)
         device.record_sent(expected_values["goal"], command.limit)
         image = _image(device, ports, *_COMMANDED, "torque_enable", "position", "speed")
-    raise ServoError(
-        f"{device.name} did not take its {' and '.join(differing) or 'goal'}: "
-        + ", ".join(
-            f"{n} reads {image[n]}, written was {expected_values[n]}" for n in differing or ["goal"]
+    if not differing:
+        raise ServoError(
+            f"{device.name} moves while it has no torque, by {drift:.2f} rad since its goal was "
+            "made: hold the arm still while torque comes on"
         )
+    raise ServoError(
+        f"{device.name} did not take its {' and '.join(differing)}: "
+        + ", ".join(f"{n} reads {image[n]}, written was {expected_values[n]}" for n in differing)
     )
 
 
