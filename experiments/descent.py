@@ -127,6 +127,7 @@ class Case:
         number: Number of pose and parameters; negative for the ready pose.
         over_table: True if there is a table under the arm.
         on_bytes: True if the servos are emulated on a serial port.
+        usb_latency: Latency timer of its adapter, which delays each reply [s].
         q: Start pose (n,) [rad].
         truth: True parameters of the arm.
     """
@@ -135,6 +136,7 @@ class Case:
     number: int
     over_table: bool
     on_bytes: bool = False
+    usb_latency: float = 0.0
     q: tuple[float, ...] = field(repr=False)
     truth: TrueParameters
 
@@ -215,13 +217,14 @@ class HandJob(Case):
             moved, jerk = self.enable(arm, recorder)
             seconds = arm.clock.now() - begin - BEFORE
             ratio = np.log(recorder.stiffness() / np.asarray(arm.servos.kp))
+            left = float(np.linalg.norm(recorder.plant.tool[:3, 3] - recorder.start))
             arm.disable_torque()
         return HandResult(
             apart=float(np.exp(np.abs(ratio).max())),
             strain=recorder.strain,
             moved=moved,
             jerk=jerk,
-            left=float(np.linalg.norm(recorder.plant.tool[:3, 3] - recorder.start)),
+            left=left,
             seconds=seconds,
         )
 
@@ -352,7 +355,7 @@ def _over_bytes(job: Case) -> Iterator[tuple[Arm, PeakRecorder]]:
         own,
         q=job.q,
         clock="steps",
-        timing=Timing(wire=True),
+        timing=Timing(wire=True, usb_latency=job.usb_latency),
         plant={"friction_scale": truth.friction, "payload": _payload(truth)},
     )
     recorder = PeakRecorder(job, bus.plant)
@@ -477,10 +480,12 @@ def descents(name: str, count: int, *, seed: int = 0, on_bytes: bool = False) ->
     return runs + ready
 
 
-def in_hand(name: str, count: int, *, seed: int = 0, on_bytes: bool = False) -> list[HandJob]:
+def in_hand(
+    name: str, count: int, *, seed: int = 0, on_bytes: bool = False, usb_latency: float = 0.0
+) -> list[HandJob]:
     """Return runs in which torque comes on while a person's hand holds the arm.
 
-    The poses and parameters are those of `descents`.
+    The poses and parameters are those of `descents`; `usb_latency` [s] is that of `Case`.
     """
     return [
         HandJob(
@@ -488,6 +493,7 @@ def in_hand(name: str, count: int, *, seed: int = 0, on_bytes: bool = False) -> 
             number=job.number,
             over_table=False,
             on_bytes=on_bytes,
+            usb_latency=usb_latency,
             q=job.q,
             truth=job.truth,
         )
@@ -583,6 +589,7 @@ def main(
     each: bool = False,
     hand: bool = False,
     over_bytes: Annotated[bool, tyro.conf.arg(name="bytes")] = False,
+    usb_latency: float = 0.0,
 ) -> None:
     """Lower arms whose true parameters differ from the assumed ones.
 
@@ -594,6 +601,7 @@ def main(
         each: True prints every run too.
         hand: True switches torque on in a hand, and does not lower the arm.
         over_bytes: True uses emulated servos on a serial port, in emulated time.
+        usb_latency: Latency timer of the adapter of this port [s], only with `hand`.
     """
     print(program.head(HAND_COLUMNS if hand else COLUMNS), flush=True)
     for name in arm or ARMS:
@@ -601,8 +609,11 @@ def main(
             print(f"{name}: no description beside the project, skipped")
             continue
         if hand:
-            held = in_hand(name, poses, seed=seed, on_bytes=over_bytes)
+            held = in_hand(name, poses, seed=seed, on_bytes=over_bytes, usb_latency=usb_latency)
             results = list(run_jobs(held, jobs, f"torque on of {name}"))
+            if each:
+                for start, result in zip(held, results, strict=True):
+                    print(f"    {start.number} {result}", flush=True)
             print("\n".join(hand_rows(name, held, results)), flush=True)
             continue
         work = descents(name, poses, seed=seed, on_bytes=over_bytes)

@@ -19,6 +19,7 @@ import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,6 +33,7 @@ from pliant.config.factory import make_arm, make_emulator
 from pliant.config.loader import builtin_text, parse
 from pliant.emulator.process import EmulatorProcess
 from pliant.loop import Loop
+from pliant.sim.postures import VERTICAL
 
 if TYPE_CHECKING:
     from pliant.config import Config
@@ -43,6 +45,12 @@ ROOT = Path(__file__).resolve().parents[1]
 #: Signals that the harness sends, and endings that the program performs itself.
 SIGNALS = ("SIGKILL", "SIGSTOP", "SIGHUP")
 ENDINGS = (*SIGNALS, "segmentation fault", "abort", "exhausted memory", "held lock")
+#: Arms, one per servo family, with a pose above the table [rad].
+ARMS = {
+    "so101": (0.3, -0.6, 0.5, 0.6, 0.0),
+    "koch": (0.3, -0.6, 0.5, 0.6, 0.0),
+    "arm7": tuple(VERTICAL),
+}
 #: Phases of a program, and time after the beginning of each within which it is ended [s].
 PHASES = {"enabling": 1.5, "running": 2.0, "descending": 4.0, "teaching": 4.0}
 #: Time after an ending within which packets may still be those of the ended program [s].
@@ -177,16 +185,16 @@ def victim(robot: str, port: str, phase: str, *, guardian: bool = True) -> None:
     arm = make_arm(configuration(robot, backend="bus", port=port), guardian=guardian)
     switch = arm.drive.enable
 
-    def enable(*orders: Any) -> None:
+    def enable(*orders: Any, **options: Any) -> None:
         _say(str(arm._guardian.pid if arm._guardian is not None else 0))
         if phase == "enabling":
             _say("begin")
         if phase == "start":
             _say(str(time.perf_counter() - begun))
             os._exit(0)
-        switch(*orders)
+        switch(*orders, **options)
 
-    arm.drive.enable = enable  # type: ignore[assignment, method-assign]
+    arm.drive.enable = enable  # type: ignore[method-assign]
     begun = time.perf_counter()
     with arm:
         if phase == "teaching":
@@ -228,8 +236,7 @@ def start(case: Case) -> tuple[list[float], float]:
     """Return the initial pose (n,) [rad], and the instant of the ending in its phase [s]."""
     rng = np.random.default_rng([case.seed, *case.phase.encode(), *case.ending.encode()])
     rest = np.array(load(case.robot).life.rest_q)
-    ready = np.array([0.3, -0.6, 0.5, 0.6, 0.0])
-    q = rest + rng.uniform(0.3, 1.0) * (ready - rest)
+    q = rest + rng.uniform(0.3, 1.0) * (np.array(ARMS[case.robot]) - rest)
     instant = PHASES[case.phase] * rng.uniform()
     # Torque comes on joint by joint in the first part of this phase.
     return q.tolist(), instant**2 / PHASES[case.phase] if case.phase == "enabling" else instant
@@ -302,24 +309,29 @@ def is_running(pid: int) -> bool:
     return text.rpartition(")")[2].split()[0] not in {"Z", "X"}
 
 
-def main(instants: int = 50, few: int = 5, jobs: int = 2, starts: int = 10) -> None:
+def main(
+    *,
+    arm: program.Arms = (),
+    ending: program.Arms = (),
+    instants: int = 50,
+    jobs: int = 2,
+    starts: int = 10,
+) -> None:
     """Print a table of all endings, and what the guardian costs.
 
     Args:
-        instants: Number of instants of SIGKILL in each phase, on the first arm.
-        few: Number of instants of each other ending, and on the other arm.
+        arm: Names of the arms; default: all of `ARMS`.
+        ending: Names of the endings; default: all of `ENDINGS`.
+        instants: Number of instants of each ending, distributed over the phases.
         jobs: Number of runs at a time.
         starts: Number of starts with and without a guardian.
     """
-    rows = [("so101", phase, "SIGKILL", instants) for phase in PHASES]
-    rows += [("so101", phase, ending, few) for ending in ENDINGS[1:] for phase in PHASES]
-    rows += [("koch", phase, "SIGKILL", few) for phase in PHASES]
+    phases = tuple(PHASES)
     memory: list[float] = []
     print(program.head(COLUMNS), flush=True)
-    for robot, phase, ending, count in rows:
-        if count == 0:
-            continue
-        cases = [Case(robot, phase, ending, seed) for seed in range(count)]
+    for robot, how in product(arm or ARMS, ending or ENDINGS):
+        turns = (divmod(i, len(phases)) for i in range(instants))
+        cases = [Case(robot, phases[phase], how, seed) for seed, phase in turns]
         with ThreadPoolExecutor(jobs) as pool:
             found = list(pool.map(run, cases))
         print(program.row(cells(cases, found)), flush=True)
@@ -354,8 +366,8 @@ def enabling_time(robot: str, *, guardian: bool) -> float:
 
 
 COLUMNS = (
-    "arm, ending",
-    "phase",
+    "arm",
+    "ending",
     "lowered",
     "first goal after [s]",
     "sags before [mm]",
@@ -382,8 +394,8 @@ def cells(cases: list[Case], found: list[dict[str, Any]]) -> list[str]:
     on = [run for run in found if run["had_torque"]] or found
     firsts = [run["first_goal"] for run in on if run["first_goal"] is not None]
     return [
-        f"{cases[0].robot}, {cases[0].ending}",
-        cases[0].phase,
+        cases[0].robot,
+        cases[0].ending,
         f"{sum(not violations(one) for one in found)} of {len(found)}",
         program.worst(firsts, 2) if firsts else "",
         program.worst([run["sags"] for run in on], 0, 1e3),

@@ -243,11 +243,11 @@ class Recorder(ServoBus):
         self.asked.append(np.array(limit, dtype=np.float64))
         super().write(goal, limit, velocity)
 
-    def enable(self, goal: ArrayLike, limit: ArrayLike) -> None:
+    def enable(self, goal: ArrayLike, limit: ArrayLike, lead: ArrayLike | None = None) -> None:
         """Record the torque limits, then switch torque on."""
         self.asked.append(np.array(limit, dtype=np.float64))
         self.ceilings = np.array(self.servos.max_torque)
-        super().enable(goal, limit)
+        super().enable(goal, limit, lead)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -174,12 +174,12 @@ def test_configurations(text):
 
 @pytest.mark.parametrize("text", ["a = " + "[" * 100_000, "a = " + "{a = " * 50_000])
 def test_a_configuration_that_is_nested_too_deeply(text):
-    with pytest.raises(pliant.ConfigError, match=r"arm\.toml is no TOML: it is nested too deeply"):
+    with pytest.raises(pliant.ConfigError, match=r"arm\.toml is not TOML: it is nested too deeply"):
         config.parse(text, source="arm.toml")
 
 
 def test_a_number_of_too_many_digits_in_a_configuration():
-    with pytest.raises(pliant.ConfigError, match=r"arm\.toml is no TOML: .*digits"):
+    with pytest.raises(pliant.ConfigError, match=r"arm\.toml is not TOML: .*digits"):
         config.parse("a = " + "9" * 5000, source="arm.toml")
 
 

@@ -92,7 +92,7 @@ def test_bench_moves_through_the_ranges(latency):
         (["--robot", "so999"], "so101"),
         (["--urdf", "nowhere.urdf"], "nowhere.urdf"),
         (["--law", "papper"], "paper"),
-        (["--robot", "so101", "--soft", "y yaw"], "yaw is no axis of the task, which has x, y, z;"),
+        (["--robot", "so101", "--soft", "y yaw"], "yaw is not an axis of the task, which has x, y"),
         (["--robot", "so101", "--soft", "y yaw"], "--axes"),
         (["--soft", "qq"], "--soft 'qq': 'qq' is not an axis"),
         (["--urdf", "a.urdf", "--robot", "so101"], "--urdf a.urdf and --robot so101 are two arms"),

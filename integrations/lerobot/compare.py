@@ -3,11 +3,11 @@
     python integrations/lerobot/compare.py            # all, about five minutes
     python integrations/lerobot/compare.py press      # or wall, gripper, lag
 
-Every run has an emulated arm of its own, to which both connect over a serial port. Forces are
+Every run has its own emulated arm, to which the follower connects over a serial port. Forces are
 those of the simulation, not estimates.
 
-Loop and emulator run in real time: start it on an idle machine, or with `nice -n -10`, because
-each wait for a processor adds to the lag.
+Loop and emulator run in real time: start the program on an idle machine, or with `nice -n -10`,
+because each wait for a processor adds to the lag.
 """
 
 from __future__ import annotations
@@ -32,17 +32,17 @@ from pliant.sim import Wall
 JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")
 START = np.array([0.0, -0.3, 0.3, 0.9, 0.0])
 FPS = 30.0
-#: Depth of the target in the table, distance of the table and of the wall from the tool [m].
+#: Depth of the target in the table; distances of table and wall from the tool at the start [m].
 DEPTH, CLEARANCE, WALL = 0.05, 0.03, 0.03
 #: Stiffness of table and wall [N/m], and their damping [N·s/m].
 STIFFNESS, DAMPING = 5000.0, 20.0
 #: Wrong target of the pan, behind the wall [rad].
 WRONG_PAN = math.radians(40.0)
-#: Angle of the open jaw, and angle at which a hard object stops it when it is closed to 0 [rad].
+#: Angle of the open jaw, and angle at which a hard object stops the closing jaw [rad].
 OPEN, OBJECT = 1.2, 0.6
 #: Calibrated range of the jaw [counts].
 JAW_RANGE = {"range_min": 1024, "range_max": 3071}
-#: Size of the sines [rad] and their frequency [Hz].
+#: Amplitude of the sines [rad] and their frequency [Hz].
 SINE, FREQUENCY = math.radians(15.0), 0.5
 
 Robot = Callable[[str, Path], Any]
@@ -53,21 +53,21 @@ def emulator(file: Config, wall: Wall | None, jaw_stop: float | None) -> Any:
 
     The emulator calls this function in its own process.
     """
-    made = make_emulator(file, q=START, plant={"scene": [] if wall is None else [wall]})
-    plant, model = made.plant, made.plant.mj_model
-    made.force = lambda: float(np.linalg.norm(plant.hands[0].force))
-    made.peak_force = lambda: plant.hands[0].peak_force
-    made.jaw_torque = lambda: float(plant.mj_data.actuator("gripper").force[0])
-    made.joint_position = lambda joint: float(plant.q[joint])
+    arm = make_emulator(file, q=START, plant={"scene": [] if wall is None else [wall]})
+    plant, model = arm.plant, arm.plant.mj_model
+    arm.force = lambda: float(np.linalg.norm(plant.hands[0].force))
+    arm.peak_force = lambda: plant.hands[0].peak_force
+    arm.jaw_torque = lambda: float(plant.mj_data.actuator("gripper").force[0])
+    arm.joint_position = lambda joint: float(plant.q[joint])
     if jaw_stop is not None:
         jaw = model.joint("gripper")
         model.jnt_limited[jaw.id], model.jnt_range[jaw.id, 0] = True, jaw_stop
         plant.mj_data.joint("gripper").qpos[0] = OPEN
-    return made
+    return arm
 
 
 def stock(gain: int) -> Robot:
-    """Return LeRobot's follower with a P gain."""
+    """Return a function that makes LeRobot's follower with a P gain."""
     from lerobot.robots.so_follower import SO101Follower, SO101FollowerConfig
 
     def make(port: str, folder: Path) -> Any:
@@ -81,7 +81,7 @@ def stock(gain: int) -> Robot:
 
 
 def soft(**options: Any) -> Robot:
-    """Return pliant's follower."""
+    """Return a function that makes pliant's follower."""
     from lerobot_robot_pliant import PliantFollower, PliantFollowerConfig
 
     def make(port: str, folder: Path) -> Any:
@@ -95,11 +95,11 @@ def soft(**options: Any) -> Robot:
 
 
 class Bench:
-    """One robot on an emulated arm of its own, at `START`.
+    """A robot and its emulated arm, at `START`.
 
     Args:
-        make: Makes the robot.
-        wall: Obstacle; None: nothing.
+        make: Function that makes the robot.
+        wall: Obstacle; None: no obstacle.
         jaw_stop: Angle at which an object stops the gripper [rad]; None: no object.
     """
 
@@ -158,27 +158,27 @@ class Bench:
         for k in range(round(seconds * FPS)):
             time.sleep(max(begin + k / FPS - time.perf_counter(), 0.0))
             now = time.perf_counter() - begin
-            places = dict(zip(JOINTS, target(now).tolist(), strict=True))
-            places["gripper"] = OPEN if gripper is None else gripper(now)
-            self.robot.send_action(self._action(places))
+            positions = dict(zip(JOINTS, target(now).tolist(), strict=True))
+            positions["gripper"] = OPEN if gripper is None else gripper(now)
+            self.robot.send_action(self._action(positions))
             if measure is not None:
                 out.append((time.perf_counter() - begin, measure()))
         return out
 
-    def _action(self, places: Mapping[str, float]) -> dict[str, float]:
-        return {f"{name}.pos": self.units[name].value(place) for name, place in places.items()}
+    def _action(self, positions: Mapping[str, float]) -> dict[str, float]:
+        return {f"{name}.pos": self.units[name].value(q) for name, q in positions.items()}
 
 
 def contact(make: Robot, wall: Wall, goal: np.ndarray, ramp: float) -> tuple[str, ...]:
-    """Move to a goal behind a wall within `ramp` [s]; return peak and held force [N]."""
+    """Move to a goal behind a wall within `ramp` [s]; return peak and final force [N]."""
     with Bench(make, wall=wall) as bench:
         forces = bench.run(
             lambda t: START + (goal - START) * min(t / ramp, 1.0),
             6.0,
             measure=lambda: bench.emulator.call("force"),
         )
-        peak, held = bench.emulator.call("peak_force"), np.median([f for _, f in forces[-60:]])
-        return f"{peak:.1f}", f"{held:.1f}"
+        peak, final = bench.emulator.call("peak_force"), np.median([f for _, f in forces[-60:]])
+        return f"{peak:.1f}", f"{final:.1f}"
 
 
 def press(make: Robot) -> tuple[str, ...]:
@@ -186,16 +186,16 @@ def press(make: Robot) -> tuple[str, ...]:
     model, goal = pliant.config.load("so101").model(), START.copy()
     height = np.asarray(model.forward_kinematics(START))[2, 3] - CLEARANCE - DEPTH
     for _ in range(400):
-        here = np.asarray(model.forward_kinematics(goal))[:3, 3]
+        position = np.asarray(model.forward_kinematics(goal))[:3, 3]
         rows = np.asarray(model.jacobian(goal))[:3]
-        error = np.array([0.0, 0.0, height - here[2]])
+        error = np.array([0.0, 0.0, height - position[2]])
         goal += 0.2 * rows.T @ np.linalg.solve(rows @ rows.T + 1e-4 * np.eye(3), error)
     table = Wall(into=(0.0, 0.0, -1.0), distance=CLEARANCE, stiffness=STIFFNESS, damping=DAMPING)
     return contact(make, table, goal, ramp=1.5)
 
 
 def wall(make: Robot) -> tuple[str, ...]:
-    """Turn the pan to a target behind a wall, which comes within 0.1 s as from a policy."""
+    """Turn the pan to a target behind a wall, to which the target moves within 0.1 s."""
     obstacle = Wall(into=(0.0, 1.0, 0.0), distance=WALL, stiffness=STIFFNESS, damping=DAMPING)
     model, goal = pliant.config.load("so101").model(), START.copy()
     goal[0] = WRONG_PAN * np.sign(np.asarray(model.jacobian(START))[1, 0])
@@ -203,36 +203,35 @@ def wall(make: Robot) -> tuple[str, ...]:
 
 
 def gripper(make: Robot) -> tuple[str, ...]:
-    """Close the gripper on a hard object; return the torque of the jaw after some times."""
+    """Close the gripper on a hard object; return the jaw torque [N·m] after 1.5, 3 and 10 s."""
     bench = Bench(make, jaw_stop=OBJECT)
     bench.power_cycle()
     with bench:
-        found = bench.run(
+        torques = bench.run(
             lambda _: START,
             11.0,
             gripper=lambda t: max(OPEN * (1.0 - t), 0.0),
             measure=lambda: abs(bench.emulator.call("jaw_torque")),
         )
-    at = (1.5, 3.0, 10.0)
-    return tuple(f"{min(found, key=lambda one: abs(one[0] - t))[1]:.2f}" for t in at)
+    times = (1.5, 3.0, 10.0)
+    return tuple(f"{min(torques, key=lambda row: abs(row[0] - t))[1]:.2f}" for t in times)
 
 
 def lag(make: Robot) -> tuple[str, ...]:
-    """Follow sines, joint by joint; return the range of lags and of gains."""
+    """Follow sines, joint by joint; return the ranges of lag [ms] and gain [1]."""
     lags, gains = [], []
     omega = 2.0 * math.pi * FREQUENCY
     with Bench(make) as bench:
         for joint in range(len(JOINTS)):
             unit = np.eye(len(JOINTS))[joint]
-            found = bench.run(
+            samples = bench.run(
                 lambda t, unit=unit: START + unit * SINE * math.sin(omega * t),
                 6.0,
                 measure=lambda joint=joint: bench.emulator.call("joint_position", joint),
             )
-            late = [(t, q) for t, q in found if t > 2.0]
-            t, moved = np.array(late).T
+            t, q = np.array([sample for sample in samples if sample[0] > 2.0]).T
             waves = np.stack([np.sin(omega * t), np.cos(omega * t), np.ones(t.size)], axis=1)
-            (sine, cosine, _), *_ = np.linalg.lstsq(waves, moved, rcond=None)
+            (sine, cosine, _), *_ = np.linalg.lstsq(waves, q, rcond=None)
             lags.append(-math.atan2(cosine, sine) / omega)
             gains.append(math.hypot(sine, cosine) / SINE)
     return (

@@ -40,15 +40,15 @@ class LeRobotTask(gymnasium.ObservationWrapper[Any, Any, Any]):
     Args:
         env: The task.
         description: Text that a policy reads.
-        pixels: True: a picture is part of the observation.
+        pixels: True: a camera image is part of the observation.
     """
 
     def __init__(self, env: TaskEnv, description: str, *, pixels: bool) -> None:
         super().__init__(env)
         self.task_description = self.task = description
         self._pixels = pixels
-        given: Any = env.observation_space
-        sizes = {name: space.shape[0] for name, space in given.items()}
+        parts_space: Any = env.observation_space
+        sizes = {name: space.shape[0] for name, space in parts_space.items()}
         self.observation_space = spaces.Dict(
             {
                 name: spaces.Box(-np.inf, np.inf, (sum(sizes[part] for part in parts),), np.float32)
@@ -60,7 +60,7 @@ class LeRobotTask(gymnasium.ObservationWrapper[Any, Any, Any]):
             self.observation_space["pixels"] = spaces.Box(0, 255, size, np.uint8)
 
     def observation(self, observation: dict[str, Any]) -> dict[str, Any]:
-        """Return vectors (float32) and picture."""
+        """Return the vectors of `PARTS` (float32), and the camera image if `pixels` is True."""
         out: dict[str, Any] = {
             name: np.concatenate([observation[part] for part in parts]).astype(np.float32)
             for name, parts in PARTS.items()
@@ -81,8 +81,8 @@ class PliantEnv(EnvConfig):
         seconds: Length of an episode [s].
         motion: Meaning of the first entries of an action: `twist`, `pose` or `joints`.
         soft: Axes whose softness is part of the action, as "y yaw"; None: those of the task.
-        obs_type: `state`, or `pixels_state` with a picture.
-        observation_width, observation_height: Size of the pictures [pixel].
+        obs_type: `state`, or `pixels_state` with a camera image.
+        observation_width, observation_height: Size of the images [pixel].
 
     Raises:
         ConfigError: A field names something that does not exist, or a number is out of range.
@@ -98,7 +98,7 @@ class PliantEnv(EnvConfig):
     observation_height: int = 240
 
     def __post_init__(self) -> None:
-        """Check the fields, and read the sizes of action and observation off the task."""
+        """Check the fields, and take the sizes of action and observation from the task."""
         known = [f"{name}-v0" for name in TASKS]
         if self.task not in known:
             raise pliant.ConfigError(f"task {self.task!r}; choose from {', '.join(known)}")
@@ -157,7 +157,7 @@ def make_task(
     width: int,
     height: int,
 ) -> LeRobotTask:
-    """Return a task; `lerobot-eval` draws a video of it."""
+    """Return a task, from which `lerobot-eval` can render a video; arguments as in `PliantEnv`."""
     kind, description = TASKS[task]
     env = TaskEnv(
         kind(seconds=seconds, decision_rate=float(fps)),

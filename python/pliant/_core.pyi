@@ -1551,6 +1551,7 @@ class Command:
     def __new__(
         cls, goal: ArrayLike, torque_limit: ArrayLike, speed_limit: ArrayLike | None = None
     ) -> Command: ...
+    def __getnewargs__(self) -> tuple[_Array, _Array, _Array]: ...
     @property
     def goal(self) -> _Array:
         """Goals of the position servos (n,) [rad]."""
@@ -2409,6 +2410,35 @@ class ContactEstimator:
             ShapeError, OutOfRangeError, ConfigError: An input is invalid; nothing has changed.
         """
 
+    def update_series(
+        self,
+        Q: ArrayLike,
+        *,
+        dt: float | None = None,
+        dq: ArrayLike | None = None,
+        load: ArrayLike | None = None,
+        current: ArrayLike | None = None,
+        sent: tuple[ArrayLike, ArrayLike] | None = None,
+    ) -> WrenchEstimate:
+        """Process several readings at equal intervals; return the estimate of the last one.
+
+        Gives the numbers of one `update` per reading, in less time: without `touch` and `stop`, the
+        wrench is computed for the last reading only.
+
+        Args:
+            Q: Measured joint positions (T, n) [rad].
+            dt: Time between readings [s], as for `update`.
+            dq: Joint velocities (T, n) [rad/s], as for `update`.
+            load: Torques reported by the servos (T, n) [N m], as for `update`.
+            current: Motor currents (T, n) [A], as for `update`.
+            sent: Goals and limits (T, n) sent last before each reading; None: the controller's last
+                command, at all readings.
+
+        Raises:
+            ShapeError, OutOfRangeError, ConfigError: An input is invalid; the estimate has not
+                changed, the stored commands are cleared.
+        """
+
     def uncertainty_at(self, q: ArrayLike) -> _Array:
         """Compute the error bound (6,) [N, N m] for the arm at rest at `q` (n,) [rad]."""
 
@@ -2915,6 +2945,10 @@ class PositionFilter:
         """Times at which these positions were sampled (N,) [s]; -inf before the first."""
 
     @property
+    def accepted(self) -> NDArray[np.bool_]:
+        """Mask (N,) of the joints whose position the last `update` has accepted."""
+
+    @property
     def jumps(self) -> int:
         """Number of positions rejected so far because they were too far from the last one."""
 
@@ -3066,8 +3100,8 @@ class ServoCodec:
         limit: ArrayLike,
         velocity: ArrayLike | None,
         max_speed: float,
-    ) -> list[tuple[int, int, int, bytes, bytes]]:
-        """Return the registers of goal, limit and speed cap of each servo, and its 2 packets.
+    ) -> tuple[list[int], list[int], list[int], list[bytes], list[bytes]]:
+        """Return goal, limit and speed cap registers, and the first and second packet, by servo.
 
         A goal is clamped to the range; a limit is rounded down and clamped to the largest limit; a
         speed is rounded down, but at least 1 unit. A single-turn servo past the end of its encoder
@@ -3147,28 +3181,33 @@ class CommandLimiter:
         self,
         goal: ArrayLike,
         limit: ArrayLike,
-        gravity: ArrayLike,
-        position: ArrayLike,
-        off_chain: ArrayLike,
-        *,
+        velocity: ArrayLike | None,
+        positions: PositionFilter,
+        off_chain: Sequence[tuple[float, float]],
         ramp: float,
         ramp_start: ArrayLike,
+        *,
         lead: bool,
-    ) -> tuple[_Array, _Array]:
-        """Return goals (N,) [rad] and torque limits (N,) [N m] to send.
+    ) -> tuple[_Array, _Array, _Array | None, _Array | None]:
+        """Return goals [rad], torque limits [N m] and largest speeds [rad/s] (N,) to send.
+
+        Speeds of joints off the chain are inf; None without `velocity`. The last element are the
+        gravity torques (n,) [N m] at the present positions; None with `lead`.
 
         Args:
             goal: Requested goals (n,) [rad].
             limit: Requested torque limits (n,) [N m].
-            gravity: Torques that hold the arm against gravity (n,) [N m].
-            position: Positions of all joints (N,) [rad]; NaN where unknown.
-            off_chain: Goal [rad] and limit [N m] of each joint off the chain (N - n, 2).
+            velocity: Largest speeds (n,) [rad/s]; None: not limited.
+            positions: Filter of the N joints, with their positions.
+            off_chain: Goal [rad] and limit [N m] of each joint off the chain (N - n).
             ramp: Progress of the ramp from holding torque to usable torque, 0 to 1.
             ramp_start: Lower bound of the ramp (n,) [N m].
             lead: True if goals may lie beyond the position limits to exert a force.
 
         Raises:
             ShapeError: An array has another shape.
+            OutOfRangeError: A goal is `unreachable`, a number is not finite, or a torque limit or a
+                speed is negative.
         """
 
     def update(
@@ -3177,7 +3216,9 @@ class CommandLimiter:
         position: ArrayLike,
         ok: NDArray[np.bool_],
         time: ArrayLike,
+        velocity: ArrayLike | None,
         load: ArrayLike | None,
+        current: ArrayLike | None,
         *,
         goal: ArrayLike,
         limit: ArrayLike,
@@ -3185,7 +3226,9 @@ class CommandLimiter:
         now: float,
         max_jumps: int,
         max_heat: float,
-    ) -> tuple[NDArray[np.bool_], _Array, _Array, float, list[float], bool]:
+    ) -> tuple[
+        bool, _Array, float, list[float], _Array, _Array | None, _Array | None, _Array | None, bool
+    ]:
         """Filter the positions of a reading, and update the heat with the torques since the last.
 
         Args:
@@ -3193,8 +3236,10 @@ class CommandLimiter:
             position: Positions (N,) [rad]; any number where `ok` is False.
             ok: Mask (N,) of the positions that were read.
             time: Sample times [s]: (N,), or one number for all.
+            velocity: Measured velocities (N,) [rad/s], or None.
             load: Measured torques (N,) [N m]. For entries that are not finite, and for None, the
                 torque is estimated as ``min(k_p |goal - position|, limit)``.
+            current: Measured currents (N,) [A], or None.
             goal: Goals in the servos (N,) [rad].
             limit: Torque limits in the servos (N,) [N m].
             dt: Time since the last update [s].
@@ -3203,10 +3248,11 @@ class CommandLimiter:
             max_heat: Heat above which a servo is too hot.
 
         Returns:
-            Six values: mask of the new positions of the chain (n,); plausible positions of the
-            chain (n,) [rad]; their ages (n,) [s]; sample time of the oldest of them [s]; positions
-            of the joints off the chain (N - n) [rad]; True if a joint is faulty or a servo is too
-            hot.
+            Nine values: True if the positions of all joints of the chain are new; plausible
+            positions of the chain (n,) [rad]; sample time of the oldest of them [s]; positions of
+            the joints off the chain (N - n) [rad]; ages of the positions of the chain (n,) [s];
+            velocities, torques and currents of the chain (n,), each None if its argument is None;
+            True if a joint is faulty or a servo is too hot.
 
         Raises:
             ShapeError: An array has another shape.

@@ -12,10 +12,10 @@ def pip() -> str:
     """Return the start of a command (pip or uv) that installs into the running environment."""
     python = Path(sys.executable)
     # Do not resolve links: a virtual environment's interpreter links to the system's interpreter.
-    shown = os.path.relpath(python) if python.is_relative_to(Path.cwd()) else str(python)
+    interpreter = os.path.relpath(python) if python.is_relative_to(Path.cwd()) else str(python)
     if importlib.util.find_spec("pip") is None:
-        return f"uv pip install --python {shown}"
-    return f"{shown} -m pip install"
+        return f"uv pip install --python {interpreter}"
+    return f"{interpreter} -m pip install"
 
 
 def missing(what: str, extra: str) -> str:

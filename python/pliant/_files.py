@@ -104,7 +104,7 @@ def check_output(path: Path, kind: str, inputs: Iterable[Path | str | None] = ()
         ) from error
     if head and not KINDS[kind](head):
         raise ConfigError(
-            f"{path} is there and is no {kind}: name another file, or remove this one first"
+            f"{path} is there and is not a {kind}: name another file, or remove this one first"
         )
     return bool(head)
 
@@ -126,19 +126,19 @@ def replacing(path: Path, *, keep: bool = True) -> Iterator[Path]:
     if path.exists() and not path.is_file():
         yield path  # a device or a pipe
         return
-    beside = path.with_name(f".{path.stem}-{os.getpid()}{path.suffix}")
+    temporary = path.with_name(f".{path.stem}-{os.getpid()}{path.suffix}")
     try:
-        beside.touch(mode=0o666)
-        yield beside
+        temporary.touch(mode=0o666)
+        yield temporary
         if not keep:
-            beside.unlink()
+            temporary.unlink()
             return
         if path.exists():
-            beside.chmod(path.stat().st_mode & 0o777)
-        beside.replace(path)
+            temporary.chmod(path.stat().st_mode & 0o777)
+        temporary.replace(path)
     except BaseException:
         with suppress(OSError):
-            beside.unlink()
+            temporary.unlink()
         raise
 
 

@@ -70,7 +70,7 @@ def real_time_priority(priority: int | None) -> Iterator[None]:
     """Return a context in which this thread, and threads that it starts, have real-time priority.
 
     The scheduling policy is SCHED_FIFO: the threads preempt all programs without real-time
-    priority. The former policy of this thread is restored at the end. None: change nothing.
+    priority. The former policy of this thread is restored at the end. With None, nothing changes.
 
     Raises:
         ConfigError: The system does not permit it.
@@ -79,7 +79,7 @@ def real_time_priority(priority: int | None) -> Iterator[None]:
         yield
         return
     thread = threading.get_native_id()
-    before = os.sched_getscheduler(thread), os.sched_getparam(thread)
+    former = os.sched_getscheduler(thread), os.sched_getparam(thread)
     try:
         os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(priority))
     except PermissionError as error:
@@ -91,4 +91,4 @@ def real_time_priority(priority: int | None) -> Iterator[None]:
     try:
         yield
     finally:
-        os.sched_setscheduler(thread, *before)
+        os.sched_setscheduler(thread, *former)

@@ -22,16 +22,16 @@ class Refusals:
         self._what, self._next, self._unreported = what, -math.inf, 0
 
     def report(self, error: Exception) -> None:
-        """Print the reason, or only count the refusal if the last message is too recent."""
+        """Print why an input was refused, or only count it if the last message is too recent."""
         now = time.monotonic()
         if now < self._next:
             self._unreported += 1
             return
-        more = f" ({self._unreported} more since the last message)" if self._unreported else ""
-        print(f"{self._what} refused: {error}{more}", file=sys.stderr, flush=True)
+        note = f" ({self._unreported} more since the last message)" if self._unreported else ""
+        print(f"{self._what} refused: {error}{note}", file=sys.stderr, flush=True)
         self._next, self._unreported = now + REPORT_PERIOD, 0
 
     def close(self) -> None:
-        """Print how many refusals were not reported, because of the bounded rate."""
+        """Print the number of refused inputs that the bounded rate kept from being reported."""
         if self._unreported:
             print(f"{self._unreported} more {self._what}s were refused", file=sys.stderr)

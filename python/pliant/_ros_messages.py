@@ -118,8 +118,8 @@ def tf_message(time: int, poses: Iterable[tuple[str, str, Array]]) -> dict[str, 
     """Return a TFMessage at a time [ns] from parent, child and pose `parent_from_child` (4, 4)."""
     transforms = []
     for parent, child, pose in poses:
-        made = _pose(pose)
-        transform = {"translation": made["position"], "rotation": made["orientation"]}
+        fields = _pose(pose)
+        transform = {"translation": fields["position"], "rotation": fields["orientation"]}
         transforms.append(
             {"header": header(time, parent), "child_frame_id": child, "transform": transform}
         )
@@ -150,7 +150,7 @@ def _pose(matrix: Array) -> dict[str, dict[str, float]]:
 
 
 def _quaternion(matrix: Array) -> list[float]:
-    """Return the quaternion x y z w of the rotation nearest to that of a matrix (4, 4)."""
+    """Return the quaternion x y z w of the rotation nearest to the upper left 3×3 block."""
     u, _, v = np.linalg.svd(matrix[:3, :3])
     pose = np.eye(4)
     pose[:3, :3] = u @ v

@@ -34,18 +34,18 @@ COLUMNS = (
 UNREACHABLE = 1e6
 
 
-def take(table: Servos, n: int, places: ArrayLike) -> Servos:
+def take(table: Servos, n: int, indices: ArrayLike) -> Servos:
     """Return a servo table with the entries of some joints of a table for n joints.
 
     Args:
         table: Parameters of n servos; a field may hold one number for all joints.
         n: Number of joints of the table.
-        places: Indices of the joints.
+        indices: Indices of the joints.
 
     Raises:
         ConfigError: A field has neither one nor n entries.
     """
-    return table.replace(**_columns(table, n, np.asarray(places, dtype=int)))
+    return table.replace(**_columns(table, n, np.asarray(indices, dtype=int)))
 
 
 def spread(table: Servos, n: int) -> Servos:
@@ -78,7 +78,7 @@ def join(first: Servos, rest: Sequence[Servos]) -> Servos:
     return first.replace(**joined)
 
 
-def _columns(table: Servos, n: int, places: NDArray[np.int_]) -> dict[str, Any]:
+def _columns(table: Servos, n: int, indices: NDArray[np.int_]) -> dict[str, Any]:
     """Return, for every numeric field of a table for n joints, its entries at the given indices."""
     names = [*COLUMNS, *(["no_load_speed"] if table.no_load_speed is not None else [])]
     out = {}
@@ -86,5 +86,5 @@ def _columns(table: Servos, n: int, places: NDArray[np.int_]) -> dict[str, Any]:
         value = np.asarray(getattr(table, name), dtype=np.float64)
         if value.shape not in {(), (1,), (n,)}:
             raise ConfigError(f"servos.{name} has {value.size} entries for {n} joints")
-        out[name] = np.broadcast_to(value, n)[places]
+        out[name] = np.broadcast_to(value, n)[indices]
     return out

@@ -82,8 +82,8 @@ def number(value: Any, name: str, low: float, high: float = np.inf, unit: str = 
     out = real(value, name)
     if not (low <= out <= high and np.isfinite(out)):
         end = "∞)" if np.isinf(high) else f"{high:g}]"
-        of = f" [{unit}]" if unit else ""
-        raise OutOfRangeError(f"{name}{of} must be in [{low:g}, {end}, got {out:g}")
+        label = f" [{unit}]" if unit else ""
+        raise OutOfRangeError(f"{name}{label} must be in [{low:g}, {end}, got {out:g}")
     return out
 
 
@@ -96,8 +96,8 @@ def positive(value: Any, name: str, unit: str = "") -> float:
     """
     out = number(value, name, 0.0, unit=unit)
     if out == 0.0:
-        of = f" [{unit}]" if unit else ""
-        raise OutOfRangeError(f"{name}{of} must be above 0, got 0")
+        label = f" [{unit}]" if unit else ""
+        raise OutOfRangeError(f"{name}{label} must be above 0, got 0")
     return out
 
 
@@ -107,13 +107,13 @@ def vector(value: ArrayLike, n: int, name: str, unit: str = "") -> Array:
     Raises:
         ShapeError: `value` has the wrong shape, or an entry is not a finite number.
     """
-    of = f" [{unit}]" if unit else ""
+    label = f" [{unit}]" if unit else ""
     try:
         array = np.array(value, dtype=np.float64)
     except (TypeError, ValueError):
         array = np.array(np.nan)
     if array.shape != (n,) or not np.isfinite(array).all():
-        raise ShapeError(f"{name} must be {n} finite numbers{of}, got {format_value(value)}")
+        raise ShapeError(f"{name} must be {n} finite numbers{label}, got {format_value(value)}")
     return array
 
 

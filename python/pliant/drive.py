@@ -122,6 +122,9 @@ class Drive(Protocol):
     - `unrestored` (N,): joints that keep torque limits and speeds of this program after `disable`;
     - `orders`: goals (N,) [rad] and torque limits (N,) [N·m] in the servos, NaN if unknown;
     - `refusing` (N,): joints that are known not to accept goals;
+    - `accepts_lead`: True if `enable` has a third argument `lead`: goal minus position (N,) [rad]
+      with which joints without torque start. Without it, joints hang on their stiffness from
+      `enable` to the first `write`;
     - `stiffness_known` (N,): joints whose stiffness is known within 10 %, if this differs by joint;
     - `outlives_program`: True if the servos keep their torque after the end of the program, and
       another process can then drive them. Such a drive also has three methods: `closed_copy()`

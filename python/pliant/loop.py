@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+from bisect import bisect_right
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -48,6 +49,8 @@ AVERAGE, CHANGE, CHANGE_SHARE = 50, 5e-4, 0.1
 #: Logarithmic bins of the lateness histogram: lower end of the first bin [s], number of bins per
 #: decade, number of bins.
 FIRST, PER_DECADE, BINS = 1e-6, 20, 140
+#: Lower ends of these bins, and upper end of the last [s].
+EDGES = [FIRST * 10.0 ** (i / PER_DECADE) for i in range(BINS + 1)]
 
 
 class LatenessHistogram:
@@ -68,8 +71,7 @@ class LatenessHistogram:
         """Count a tick that began `late` [s] after its deadline."""
         self.largest = max(self.largest, late)
         # Numbers of a memory view are quicker than those of an array.
-        cell = int(PER_DECADE * math.log10(late / FIRST)) + 1 if late >= FIRST else 0
-        self._cells[min(cell, BINS + 1)] += 1
+        self._cells[bisect_right(EDGES, late)] += 1
 
     def __len__(self) -> int:
         """Return the number of counted ticks."""
@@ -225,8 +227,8 @@ class Loop:
         rate: Ticks per second [Hz], at least 1; None: the rate in the controller's settings, or
             `arm.rate` if it has none.
         duration: Duration of the loop [s]; None: unlimited.
-        max_step_time: Longest time that the program may take in one tick [s]; None:
-            `arm.comm_timeout`.
+        max_step_time: Longest time that the program may take in one tick [s]; inf: any time,
+            without the thread; None: `arm.comm_timeout`.
         recorder: A `pliant.log.Recorder`, or an object with its `start`, `add` and `close`, which
             receives every tick with its command. The loop starts it, and closes it at the end.
         realtime_priority: Priority (1 to 99) with the scheduling policy SCHED_FIFO of the thread
@@ -310,6 +312,7 @@ class Loop:
                 f"ticks per second: connect(..., rate={rate:g})"
             )
         self._arm, self.duration = arm, duration
+        self._stale = max(STALE_PERIODS * self.period, STALE)
         self._max_step_time = arm.comm_timeout if max_step_time is None else float(max_step_time)
         self.lateness = LatenessHistogram()
         self.missed = self.missing = self.rejected = self.restarts = 0
@@ -472,7 +475,7 @@ class Loop:
                 f"torque_limit, got {format_value(command)}; arm.write(goal, limit) "
                 "takes bare numbers"
             )
-        old = clock.now() - tick.began > max(STALE_PERIODS * self.period, STALE)
+        old = clock.now() - tick.began > self._stale
         if old or not all(map(math.isfinite, goal.tolist() + limit.tolist())):
             self.rejected += 1
             return False

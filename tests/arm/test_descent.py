@@ -1,13 +1,16 @@
 """Torque on and descent of arms whose servos, load, gears and encoders differ from the model."""
 
+import dataclasses
 import random
 
+import numpy as np
 import pytest
 from mismatch import Mismatch, Parameters
 
 pytest.importorskip("mujoco", reason="descents run on the simulator: extra sim")
 
 from experiments import descent
+from pliant.arm import _transfer
 
 #: By arm: numbers of the runs of `descent.descents` that are always tested. Even runs are in free
 #: air, odd ones over a table. Run 7 of `so101` tests the bound of the force on the table: without
@@ -76,6 +79,7 @@ IN_HAND = [
     ("so101", 2, False),  # unknown load of 0.33 kg (0.91 m/s, 660 mm)
     ("arm7", 16, False),  # 0.38 kg, no delay (0.14 m/s, 31 mm)
     ("arm7", 18, False),  # 0.28 kg (0.19 m/s, 24 mm)
+    ("koch", 4, False),  # 0.12 kg (0.12 m/s if the balance begins after 1 mm)
     ("arm7", -1, True),  # ready pose, no load (0.11 m/s, 4 mm)
     pytest.param("so101", 2, True, marks=pytest.mark.full),  # 0.33 kg (1.4 m/s, 666 mm)
 ]
@@ -101,6 +105,56 @@ def test_an_arm_let_go_at_torque_on_does_not_drop(arm, number, on_bytes):
     assert run.apart == pytest.approx(apart, rel=2e-3 if on_bytes else 1e-6)
     assert run.moved < 0.020
     assert run.jerk < 0.10
+
+
+@pytest.mark.parametrize(
+    ("arm", "number", "when", "bound"),
+    # Without the torque that is sent meanwhile, 7.1 and 0.77 rad/s.
+    [("koch", 2, 0.2, 1.5), ("so101", 8, 0.15, 0.4)],
+)
+def test_the_estimate_after_a_silence_is_that_of_an_arm_that_was_held(
+    arm, number, when, bound, monkeypatch
+):
+    transfers, errors, started = [], [], []
+    read, enable = descent.HandDrive.read, descent.HandDrive.enable
+    start = _transfer._WeightTransfer.__init__
+
+    def started_at(drive, goal, limit):
+        started.append(drive.clock.now())
+        enable(drive, goal, limit)
+
+    def silent(drive):
+        sample = read(drive)
+        passed = drive.clock.now() - started[0] if started else 0.0
+        if when <= passed < when + 0.2:
+            return dataclasses.replace(sample, ok=np.zeros_like(sample.ok))
+        if passed >= when + 0.2 and not errors:
+            speed = transfers[0]._observer.predict(drive.clock.now())[1]
+            errors.append(float(np.abs(speed - drive.plant.dq[: speed.size]).max()))
+        return sample
+
+    def recorded(transfer, *args):
+        start(transfer, *args)
+        transfers.append(transfer)
+
+    monkeypatch.setattr(descent.HandDrive, "read", silent)
+    monkeypatch.setattr(descent.HandDrive, "enable", started_at)
+    monkeypatch.setattr(_transfer._WeightTransfer, "__init__", recorded)
+    (job,) = (job for job in descent.in_hand(arm, number + 1) if job.number == number)
+    job.run()
+    assert errors[0] < bound  # [rad/s]
+
+
+@pytest.mark.parametrize("arm", ["so101", "koch"])
+def test_an_arm_let_go_on_a_slow_line_does_not_sink(arm):
+    # Each reply takes 4 ms more: without a lead in the first goals, 13 and 11 mm at 0.13 m/s.
+    (job,) = (
+        job for job in descent.in_hand(arm, 1, on_bytes=True, usb_latency=0.004) if job.number == -1
+    )
+    run = job.run()
+    assert run.apart == pytest.approx(2.5, rel=2e-3)
+    assert run.moved < 0.005
+    assert run.jerk < 0.03
 
 
 @pytest.mark.parametrize(

@@ -373,8 +373,8 @@ def test_registers_and_zeros_are_those_of_the_ended_program_on_two_ports(monkeyp
         assert np.flatnonzero(copy.torque_unknown).tolist() == [2]
         others = [0, 1, 3, 4]
         found = [emulated.servo(joint + 1).get("goal_position") for joint in others]
-        rows = copy._codec.encode(others, np.nan_to_num(goals), [0.5] * 5, None, 0.0)
-        assert [row[0] for row in rows] == found
+        goal_registers = copy._codec.encode(others, np.nan_to_num(goals), [0.5] * 5, None, 0.0)[0]
+        assert goal_registers == found
         assert limits[others] == pytest.approx(0.5, abs=0.02)
         copy.write(np.nan_to_num(goals) + 0.01, [0.5] * 5)
         emulated.sync()

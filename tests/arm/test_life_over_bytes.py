@@ -73,9 +73,9 @@ class RecordingBus(ServoBus):
         self.asked = np.array(limit)
         super().write(goal, limit, velocity)
 
-    def enable(self, goal, limit):
+    def enable(self, goal, limit, lead=None):
         self.asked = np.array(limit)
-        super().enable(goal, limit)
+        super().enable(goal, limit, lead)
 
 
 class Life(RuleBasedStateMachine):

@@ -6,8 +6,10 @@ from mismatch import Mismatch, Parameters
 
 import pliant
 from experiments.lifecycle import LOAD, lower, postures
+from pliant import robots
 from pliant._core import ArmPoints
 from pliant.arm import Lowering
+from pliant.sim import Plant, SimDrive
 
 #: Total delay of sampling and writing, one tick each [s].
 TICKS = 0.02
@@ -224,6 +226,51 @@ def test_a_stall_of_the_lowering_itself_moves_the_goal_no_further_than_a_tick(mo
         first = lowering.step(grasp, dt=0.01).goal
     second = lowering.step(grasp, dt=5.0).goal
     assert np.abs(second - first).max() < 0.05
+
+
+def saturated(model, q):
+    """Return goals and limits of joints whose leads are twice as large as their limits allow."""
+    weight = model.gravity(q)
+    lead = 2.0 * weight / np.asarray(model.servos.kp) + 0.03 * np.sign(weight)
+    return q + lead, np.abs(weight) + 0.5 * np.asarray(model.servos.friction)
+
+
+def test_a_lead_that_the_limit_does_not_allow_lifts_no_joint():
+    q = postures(4, load=0.1, seed=5)[3]
+    plant = Plant(robots.load("arm7"), delay=(0, 1))
+    plant.reset(q)
+    drive = SimDrive(plant)
+    goal, limit = saturated(plant.model, q)
+    drive.enable(q, limit)
+    drive.write(goal, limit)
+    drive.clock.wait_until(0.15)
+    lowering = Lowering(
+        plant.model, plant.model.servos, drive.read().position, goal=goal, limit=limit
+    )
+    start, heights, speeds = plant.tool[2, 3], [], []
+    for _ in range(300):
+        command = lowering.step(drive.read().position, dt=0.01)
+        drive.write(command.goal, command.torque_limit)
+        drive.clock.wait_until(plant.time + 0.01)
+        heights.append(plant.tool[2, 3])
+        speeds.append(np.linalg.norm(plant.ground_truth.frame("tool").twist()[:3]))
+    # 0.064 m and 0.23 m/s where the limits rise at once to more than the weight.
+    assert max(heights) - start < 0.015
+    assert max(speeds) < 0.2
+    assert heights[-1] < start - 0.05
+
+
+def test_a_joint_that_creeps_gets_little_torque(model, grasp):
+    goal, limit = saturated(model, grasp)
+    lowering = Lowering(model, model.servos, grasp, goal=goal, limit=limit)
+    creep = 0.0015 * np.sign(model.gravity(grasp))  # one encoder count per tick
+    q = grasp.copy()
+    for _ in range(5):
+        q[2] -= creep[2]
+        command = lowering.step(q, dt=0.02)
+    rise = command.torque_limit[2] - limit[2]
+    # 6.5 N·m with limits that rise with time.
+    assert 0.0 < rise < 2.0 * model.servos.kp[2] * 0.0075
 
 
 def test_goals_of_a_blind_descent_are_caught_up_with_no_faster_than_it_goes(model, grasp):

@@ -1,5 +1,6 @@
 """Programs that do not react to a signal: the supervisor thread lowers the arm instead."""
 
+import math
 import os
 import signal
 import sys
@@ -53,6 +54,21 @@ def test_no_supervision_outside_a_loop_or_in_simulated_time(make, grasp):
     with supervisor.supervised(10.0):
         assert threading.active_count() == before + 1
     assert supervisor.reason is None
+
+
+def test_infinite_patience_starts_no_thread_and_ends_an_earlier_one():
+    arm = bare_arm(real_time=True, handle_signals=False)
+    before = set(threading.enumerate())
+    # After an exception, the thread of an earlier context still runs.
+    with pytest.raises(ZeroDivisionError), arm.supervised(60.0):
+        raise ZeroDivisionError
+    (thread,) = set(threading.enumerate()) - before
+    with arm.supervised(math.inf) as check:
+        check()
+        thread.join(timeout=10.0)
+        assert not set(threading.enumerate()) - before
+        # The guardian, which reads this timeout, detects no hang either.
+        assert arm._supervisor.heartbeat[1] == 0.0
 
 
 def test_errors_of_the_bus_are_kept_for_the_program():

@@ -2,7 +2,9 @@ import json
 
 import pytest
 
+from pliant import config
 from pliant.cli import main
+from pliant.config.factory import make_emulator
 from pliant.emulator import Device, Emulator
 
 rustypot = pytest.importorskip("rustypot")
@@ -89,6 +91,14 @@ def test_setup_shows_asks_writes_and_undoes(arm, tmp_path, capsys, monkeypatch):
     assert main([*flags, "--yes"]) == 2, "the first backup is not overwritten"
 
 
+@pytest.mark.parametrize("name", ["so101", "koch", "arm7"])
+def test_emulated_arms_are_set_up_already(name, capsys):
+    with make_emulator(config.load(name)) as bus:
+        ports = [flag for port in bus.ports.values() for flag in ("--port", port)]
+        assert main(["servos", "setup", name, *ports]) == 0
+    assert "nothing to change" in capsys.readouterr().out
+
+
 def test_setup_reports_a_missing_backup(arm, tmp_path, capsys):
     _, file = arm
     assert (
@@ -158,7 +168,7 @@ def test_run_on_the_simulator_lowers_the_arm(capsys):
 def test_soft_axes_that_the_task_has_not_are_answered_with_its_own(capsys):
     assert main(["run", "so101", "--backend", "sim", "--soft", "y yaw"]) == 2
     said = capsys.readouterr().err
-    assert "--soft 'yaw': yaw is no axis of the task, which has x, y, z; task in" in said
+    assert "--soft 'yaw': yaw is not an axis of the task, which has x, y, z; task in" in said
 
 
 def test_run_follows_a_file(tmp_path, capsys):

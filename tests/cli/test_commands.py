@@ -6,6 +6,7 @@ import warnings
 from collections import defaultdict
 from importlib import import_module
 
+import numpy as np
 import pytest
 
 pytest.importorskip("mujoco", reason="commands load the extra sim")
@@ -15,6 +16,10 @@ import tyro
 
 from pliant import config
 from pliant.cli import COMMANDS, GROUPS, PREFIXES, main
+from pliant.cli.identify import _servo_lines
+from pliant.identify import Identification
+from pliant.identify._excitation import Excitation
+from pliant.identify._regression import Delay, Solution
 
 #: Commands that start other programs; their flags are not checked here.
 EXPERIMENTS = set(GROUPS.get("experiments", {}))
@@ -160,14 +165,57 @@ def test_identify_servos_prints_a_table_for_the_file(so101, capsys):
     lines = out.partition("[servo]\n")[2].partition("\n\n")[0]
     so101.write_text(f"{head}[servo]\n{lines}\n\n{gripper}", encoding="utf-8")
     model = config.load(str(so101)).model()
-    assert model.servos.stiffness_known
+    # Two joints without gravity load are not known within 10 % from these poses.
+    unsure = re.findall(r"(\w+): k_p is not known within 10 %", out)
+    assert unsure == ["shoulder_pan", "wrist_roll"]
+    assert not model.servos.stiffness_known
     for i, joint in enumerate(model.joint_names):
-        assert servo[joint]["kp"] == model.servos.kp[i]
+        assert ("kp" in servo[joint]) is (joint not in unsure)
+        assert servo[joint].get("kp", model.servos.kp[i]) == model.servos.kp[i]
         assert servo[joint]["friction"] == model.servos.friction[i]
     before = config.load("so101").model().servos
     assert abs(model.servos.kp / before.kp - 1.0).max() < 0.2
     # The other fields of a servo are unchanged.
     assert servo["shoulder_pan"] | {"id": 1, "gain": 16, "sign": -1} == servo["shoulder_pan"]
+
+
+@pytest.mark.parametrize("unsure", [[], ["wrist_roll"], ["shoulder_pan", "wrist_roll"]])
+def test_only_an_identified_stiffness_is_written(so101, monkeypatch, unsure):
+    own = config.load(str(so101))
+    model = own.model()
+    names, kp = model.joint_names, 1.2 * np.asarray(model.servos.kp)
+    sigma = np.where(np.isin(names, unsure), 0.3, 0.02) * kp
+    zeros = np.zeros(model.n)
+    value = dict.fromkeys(("load", "motor", "total", "outer"), zeros) | {
+        "kp": kp, "friction": np.full(model.n, 0.05)
+    }  # fmt: skip
+    solution = Solution(
+        value=value,
+        sigma=dict.fromkeys(value, zeros) | {"kp": sigma},
+        payload=np.zeros(4),
+        payload_covariance=np.eye(4),
+        separated=np.zeros(4),
+        spread=1.0,
+        rows=100,
+    )
+    rig = Excitation(model, model.servos, 0.01)
+    found = Identification.of(rig, zeros, solution, Delay(0.01, 0.001, zeros))
+    assert found.servos.stiffness_known is (not unsure)
+    lines = [line for line in _servo_lines(own, found) if not line.startswith("#")]
+    servo = tomllib.loads("\n".join(lines))["servo"]
+    assert [name for name in names if "kp" not in servo[name]] == unsure
+    # Friction is identified also where stiffness is not.
+    assert all(servo[name]["friction"] == 0.05 for name in names)
+    text = so101.read_text(encoding="utf-8")
+    head, _, rest = text.partition("[servo]")
+    gripper = "[gripper]" + rest.partition("[gripper]")[2]
+    body = "\n".join(lines).partition("[servo]\n")[2]
+    so101.write_text(f"{head}[servo]\n{body}\n\n{gripper}", encoding="utf-8")
+    changed = config.load(str(so101)).model()
+    assert changed.servos.stiffness_known is (not unsure)
+    table = np.asarray(model.servos.kp)
+    expected = np.where(np.isin(names, unsure), table, kp)
+    np.testing.assert_allclose(changed.servos.kp, expected, rtol=1e-3)
 
 
 @pytest.mark.parametrize(

@@ -131,8 +131,8 @@ def test_a_motion_is_no_calibration(tmp_path, capsys):
     file.write_text('{"format": 1, "joints": ["a"], "samples": []}')
     assert main(["servos", "doctor", "so101", "--backend", "sim", "--calibration", str(file)]) == 2
     out = " ".join(capsys.readouterr().out.split())
-    assert "wave.json is no calibration file: LeRobot's has a table of id," in out
-    assert "what is under format, joints, samples is no table" in out
+    assert "wave.json is not a calibration file: LeRobot's has a table of id," in out
+    assert "what is under format, joints, samples is not a table" in out
 
 
 @pytest.mark.parametrize("rate", ["-1", "333"])
@@ -171,7 +171,7 @@ def test_the_emulator_starts_first_and_reports_late_replies(monkeypatch, capsys)
     asked = []
     monkeypatch.setattr(os, "nice", asked.append)
     late = iter([0.001, 0.150, 0.160, *[0.350] * 1000])
-    monkeypatch.setattr(Emulator, "late", property(lambda _: next(late)))
+    monkeypatch.setattr(Emulator, "max_latency", property(lambda _: next(late)))
     assert main(["servos", "emulate", "so101", "--duration", "1"]) == 0
     assert asked == [-10]
     out = " ".join(capsys.readouterr().out.split())

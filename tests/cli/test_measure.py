@@ -301,8 +301,8 @@ def test_a_damaged_file_is_refused(text, tmp_path):
         ("-5\n", "-5 g is impossible"),
         ("nan\n", "nan g is impossible"),
         ("1e999\n", "inf g is impossible"),
-        ("half a pound\n", "'half a pound' is no number of grams"),
-        ("\n", "'' is no number of grams"),
+        ("half a pound\n", "'half a pound' is not a number of grams"),
+        ("\n", "'' is not a number of grams"),
     ],
 )
 def test_an_impossible_reading_is_refused_with_its_bound(line, said):
@@ -317,7 +317,7 @@ def test_an_impossible_reading_is_refused_with_its_bound(line, said):
         ("servos doctor so101 --report a.json", "--report belongs to --measure"),
         ("servos doctor so101 --measure --watch", "give one"),
         ("servos doctor so101 --measure --backend sim", "backend 'sim' has none"),
-        ("servos doctor so101 --measure --backend sim --report old.json", "is no measurements"),
+        ("servos doctor so101 --measure --backend sim --report old.json", "is not a measurements"),
         ("identify so101 gravity --report a.json --backend sim", "--report belongs to servos"),
         ("identify so101 servos --report a.json --backend sim", "backend 'sim' has none"),
     ],

@@ -117,9 +117,9 @@ def test_recorder_and_motion_keep_to_their_kind_without_the_shell(folder):
     before = contents(folder)
     motion = Motion.load("wave.json")
     for name in ("my_arm.json", "mine.toml", "targets.jsonl"):
-        with pytest.raises(pliant.ConfigError, match="is no motion"):
+        with pytest.raises(pliant.ConfigError, match="is not a motion"):
             motion.save(name)
-        with pytest.raises(pliant.ConfigError, match="is no log"):
+        with pytest.raises(pliant.ConfigError, match="is not a log"):
             Recorder(name)
     motion.save("wave.json")
     assert contents(folder) == before

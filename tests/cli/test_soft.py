@@ -57,7 +57,7 @@ def test_everything_else_of_the_settings_is_kept():
     ("words", "said"),
     [
         ("y=60", r"--soft y=60: this arm holds y with at most \S+ N; a cap is at most that"),
-        ("roll", "roll is no axis of the task, which has x, y, z"),
+        ("roll", "roll is not an axis of the task, which has x, y, z"),
         ("w=2", "--soft 'w'"),
         ("y=two", "--soft takes axis or axis=newtons"),
         ("y=-1", "a cap is a number from 0 up, got -1"),

@@ -25,7 +25,7 @@ PORT = 20177
 @pytest.mark.parametrize(
     ("line", "said"),
     [
-        ("{", "is no JSON"),
+        ("{", "is not JSON"),
         ("[1]", "an object of"),
         ('{"pos": [1, 2, 3]}', "an object of"),
         ('{"position": [1, 2]}', "3 numbers"),
@@ -38,7 +38,7 @@ PORT = 20177
         ('{"position": [200, 0, 150]}', "in millimetres"),
         ('{"position": [1e300, 0, 0]}', "from shoulder_pan [m] = 1e300"),
         ('{"position": [1' + "0" * 400 + ", 0, 0]}", "position is larger than any number"),
-        ('{"position": [1' + "0" * 5000 + ", 0, 0]}", "is no JSON"),
+        ('{"position": [1' + "0" * 5000 + ", 0, 0]}", "is not JSON"),
         ("[" * 100_000, "is nested too deeply"),
         ('{"q": [50, 0, 0, 0, 0]}', "q[0] (shoulder_pan) [rad] = 50 is outside"),
         ('{"wxyz": [1, 0, 0, 0], "xyzw": [0, 0, 0, 1]}', "one quaternion"),

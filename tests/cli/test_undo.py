@@ -97,12 +97,15 @@ def test_a_backup_from_before_is_still_read(done, capsys):
         ({"id": 77}, "shoulder_pan (id 77), which the configuration does not have; it has"),
         ({"model": "MX-28"}, "was MX-28, the configuration says XL430-W250"),
         ({"model": "nope"}, "no servo model 'nope'"),
-        ({"register": "nope"}, "'nope' is no register that setup writes on XL430-W250; those are"),
-        ({"register": "id", "old": 1}, "'id' is no register that setup writes"),
+        (
+            {"register": "nope"},
+            "'nope' is not a register that setup writes on XL430-W250; those are",
+        ),
+        ({"register": "id", "old": 1}, "'id' is not a register that setup writes"),
         ({"old": -1}, "takes 0 to 255, got -1"),
         ({"old": 256}, "takes 0 to 255, got 256"),
         ({"old": 10**30}, "takes 0 to 255"),
-        ({"old": "x"}, "is no backup of pliant servos setup: old is a whole number"),
+        ({"old": "x"}, "is not a backup of pliant servos setup: old is a whole number"),
         ({"old": True}, "old is a whole number"),
         ({"old": None}, "old is a whole number"),
         ({"joint": [1]}, "joint is text"),
@@ -129,7 +132,7 @@ def test_what_is_no_backup(text, done, capsys):
     backup.write_text(text)
     assert main(["servos", "setup", str(file), "--undo", str(backup), "--yes"]) == 2
     error = capsys.readouterr().err
-    assert "is no backup of pliant servos setup" in error or "is 3, this pliant reads" in error
+    assert "is not a backup of pliant servos setup" in error or "is 3, this pliant reads" in error
 
 
 def test_a_backup_of_another_arm_or_a_register_twice(done, capsys):

@@ -56,10 +56,10 @@ def test_urdf_and_file_that_disagree_on_joints():
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("x =", "is no TOML"),
+        ("x =", "is not TOML"),
         (
             'robot.urdf = "C:\\Users\\arm.urdf"',
-            "is no TOML.*a path with / or in single quotes",
+            "is not TOML.*a path with / or in single quotes",
         ),
         (SIM + "bakend = 1", "did you mean 'backend'"),
         ("backend = 'sim'\n[robot]\n", "robot: takes one of urdf and builtin"),
@@ -200,7 +200,7 @@ def test_a_port_for_a_backend_that_opens_none_is_refused(backend):
 def test_a_urdf_is_not_taken_for_a_configuration(tmp_path):
     (tmp_path / "vx300s.urdf").write_text('<?xml version="1.0"?>\n<robot name="x"/>')
     with pytest.raises(
-        pliant.ConfigError, match=r"vx300s\.urdf is no TOML but XML.*\[robot\] urdf"
+        pliant.ConfigError, match=r"vx300s\.urdf is not TOML but XML.*\[robot\] urdf"
     ):
         config.load(tmp_path / "vx300s.urdf")
 

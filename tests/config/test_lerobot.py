@@ -26,7 +26,7 @@ def test_a_file_is_read_as_it_is(tmp_path):
         ({**MOTOR, "range_min": 3100}, "empty range"),
         ({**MOTOR, "range_min": 3099}, "empty range, 3099 to 3100 counts"),
         ({**MOTOR, "drive_mode": 7}, "drive_mode is 0 or 1, got 7"),
-        ([], "is no table"),
+        ([], "is not a table"),
     ],
 )
 def test_what_is_wrong_with_a_motor_is_named(tmp_path, entry, said):
@@ -41,11 +41,11 @@ def test_files_that_are_no_calibration(tmp_path):
         read_calibration(tmp_path / "none.json")
     for text in ("{", "[]", "{}", '"x"'):
         (tmp_path / "bad.json").write_text(text)
-        with pytest.raises(pliant.ConfigError, match="no calibration file"):
+        with pytest.raises(pliant.ConfigError, match="not a calibration file"):
             read_calibration(tmp_path / "bad.json")
     for text in ("[" * 100_000, '{"shoulder_pan": ' + "1" * 5000 + "}"):
         (tmp_path / "bad.json").write_text(text)
-        with pytest.raises(pliant.ConfigError, match="no calibration file"):
+        with pytest.raises(pliant.ConfigError, match="not a calibration file"):
             read_calibration(tmp_path / "bad.json")
 
 

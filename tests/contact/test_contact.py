@@ -165,3 +165,20 @@ def test_contacts_in_full():
     assert guarded.missed < 0.06  # measured 0.045
     assert guarded.late[0] <= 0.08  # [s], measured 0.06
     assert facts["free beyond"] < 1e-4
+
+
+def test_a_series_has_the_numbers_of_its_readings_one_by_one():
+    single, several = (pliant.ContactEstimator(controller(), **KNOWN) for _ in range(2))
+    rng = np.random.default_rng(2)
+    for count in (1, 5, 30):
+        q = VERTICAL + rng.uniform(-0.01, 0.01, (count, 7))
+        sent = (q + rng.uniform(-0.05, 0.05, q.shape), rng.uniform(1.0, 8.0, q.shape))
+        for reading, goal, limit in zip(q, *sent, strict=True):
+            single.update(reading, sent=(goal, limit))
+        # A list of lists takes the slow way into the core.
+        assert several.update_series(q if count > 1 else q.tolist(), sent=sent) == single.estimate
+    with pytest.raises(pliant.ShapeError, match=r"Q has shape \(7,\), expected \(T, 7\)"):
+        several.update_series(VERTICAL)
+    with pytest.raises(pliant.ShapeError, match=r"goal has shape \(35,\), expected \(14,\)"):
+        several.update_series(q[:2], sent=(sent[0][:5], sent[1][:2]))
+    assert several.estimate == single.estimate

@@ -43,7 +43,7 @@ def test_late_answers_come_before_the_next_one():
     line, faults = bus()
     faults.inject("late", 1)
     first = line.feed(p1(1, 1), BAUD)
-    assert [(d.after, d.late) for d in first] == [(None, True)]
+    assert [(d.after, d.is_delayed) for d in first] == [(None, True)]
     faults.inject("late", 1, seconds=0.03)
     assert [d.after for d in line.feed(p1(1, 1), BAUD)] == [0.03]
 

@@ -68,6 +68,6 @@ def test_poses_without_information_are_reported():
     gap.check(controller)
     found = identify.estimate_payload(plant, controller, poses=1)
     weak = [text for text in found.summary() if "cannot be told" in text]
-    assert (found.separated < 0.5).sum() >= 1
+    assert (found.sigma_reduction < 0.5).sum() >= 1
     assert len(weak) == 1
     assert "span" in weak[0]

@@ -67,7 +67,7 @@ def test_a_damaged_log_is_explained_or_a_prefix(made, damaged):
         try:
             log = read(damaged(copy))
         except pliant.ConfigError as error:
-            assert "is no log of pliant" in str(error)  # noqa: PT017
+            assert "is not a log of pliant" in str(error)  # noqa: PT017
             seen["explained"] += 1
             continue
         prefix(log, whole)

@@ -242,7 +242,7 @@ def test_the_command_tells_draws_and_exports(file, tmp_path, capsys):
     with np.load(plain) as arrays:
         np.testing.assert_array_equal(arrays["goal"], log.goal)
     assert main(["log", "info", str(plain)]) == 2
-    assert "no log" in capsys.readouterr().err
+    assert "not a log" in capsys.readouterr().err
 
 
 def test_a_soft_run_can_be_logged_from_the_shell(tmp_path):
@@ -276,5 +276,5 @@ def test_what_cannot_be_a_log_is_said(tmp_path):
             pliant.Loop(arm, made, recorder=Recorder(tmp_path / "late.mcap"))
     assert not (tmp_path / "late.mcap").exists()
     (tmp_path / "none.mcap").write_bytes(b"no log")
-    with pytest.raises(pliant.ConfigError, match="no log"):
+    with pytest.raises(pliant.ConfigError, match="not a log"):
         read(tmp_path / "none.mcap")

@@ -49,6 +49,9 @@ def uses(controller, contact, target):
     sent = (command.goal, command.torque_limit)
     return {
         "contact.update": lambda: contact.update(Q, sent=sent),
+        "contact.update_series": lambda: contact.update_series(
+            np.tile(Q, (3, 1)), sent=(np.tile(sent[0], (3, 1)), np.tile(sent[1], (3, 1)))
+        ),
         "contact.uncertainty_at": lambda: contact.uncertainty_at(Q),
         "contact.typical_uncertainty": contact.typical_uncertainty,
         "contact.latency": lambda: contact.latency,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import inspect
 import re
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -22,8 +23,11 @@ def documented(node: ast.Module | ast.ClassDef, inside: str = "") -> dict[str, s
     The docstrings of overloads are joined.
     """
     found: dict[str, list[str]] = {}
-    # Functions that some systems lack are below an `if`.
-    items = [i for item in node.body for i in (item.body if isinstance(item, ast.If) else [item])]
+    # Functions that Windows lacks are below an `if`.
+    windows = sys.platform == "win32"
+    items = []
+    for item in node.body:
+        items += [item] if not isinstance(item, ast.If) else [] if windows else item.body
     for item in items:
         if not isinstance(item, ast.ClassDef | ast.FunctionDef):
             continue

@@ -92,6 +92,17 @@ def test_a_copied_model_is_the_same(model, servos, q, way):
         assert repr(first) == repr(second)
 
 
+@pytest.mark.parametrize("way", COPIES)
+def test_a_copied_command_is_the_same(controller, q, target, way):
+    command = controller.step(q, target)
+    again = COPIES[way](command)
+    assert type(again) is pliant.Command
+    assert bits(again) == bits(command)
+    # Without a speed limit its numbers are infinite.
+    free = pliant.Command(q, np.ones(q.size))
+    assert bits(COPIES[way](free)) == bits(free)
+
+
 def test_copies_share_what_cannot_change(model, controller):
     assert copy.copy(model) is model
     assert copy.deepcopy([model])[0] is model

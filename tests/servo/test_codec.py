@@ -23,8 +23,8 @@ def device(model="STS3215-12V", **options):
 
 def encode(servo, goal, limit, speed, max_speed=math.inf):
     """Return the registers of a command, and its packets."""
-    row = servo.codec.encode([0], [goal], [limit], [speed], max_speed)[0]
-    return list(row[:3]), row[3:]
+    row = [column[0] for column in servo.codec.encode([0], [goal], [limit], [speed], max_speed)]
+    return row[:3], tuple(row[3:])
 
 
 def reply(servo, time, **values):

@@ -116,6 +116,56 @@ def test_a_failure_while_torque_comes_on_says_that_the_arm_falls(kind, monkeypat
         assert not (chain.enabled | chain.torque_unknown | chain.unrestored).any()
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_first_goals_lead_by_what_carries_the_weight(kind):
+    """A joint whose goal would be outside of the range of the servo leads up to its end."""
+    with Emulator(devices(kind, 3), clock="steps") as bus:
+        specs = [
+            ServoSpec(
+                name=f"joint{i}",
+                model=JOINTS[kind][1],
+                id=i + 1,
+                port=bus.port,
+                lower=-1.0,
+                upper=1.0,
+                sign=-1 if i == 1 else 1,
+            )
+            for i in range(3)
+        ]
+        with ServoBus(specs, reply_timeout_min=0.005, clock=ManualClock(bus)) as chain:
+            count = bus.servos[0].model.count
+            before = [servo.position for servo in bus.servos]
+            writes = []
+            for servo in bus.servos:
+                servo.put("goal_position", 0)
+            angles = chain.read().position
+            chain.enable(angles, 0.2 * chain.servos.max_torque, lead=[0.05, 0.05, 5.0])
+            bus.sync()
+            goals = np.array([servo.get("goal_position") for servo in bus.servos])
+            writes = np.array(goals - before) * count
+            assert writes[0] == pytest.approx(0.05, abs=count)
+            assert writes[1] == pytest.approx(-0.05, abs=count)
+            # The limit of the joint is 1 rad.
+            assert angles[2] + writes[2] == pytest.approx(1.0, abs=2.0 * count)
+
+
+@pytest.mark.parametrize("kind", ["sts", "xm"])
+def test_few_requests_while_an_arm_hangs_on_servos_without_feedback(kind):
+    """An arm with a load falls until the first goal that answers its motion."""
+    with Emulator(devices(kind, 6), clock="steps") as bus, chain_on(bus, kind, 6) as chain:
+        goal, requests, line = chain.read().position, [], bus.lines["main"].faults
+
+        def chance():
+            requests.append(all(servo.enabled for servo in bus.servos))
+
+        line.chance = chance
+        chain.enable(goal, 0.5 * chain.servos.max_torque)
+        chain.read()
+        assert all(servo.enabled for servo in bus.servos)
+        # Without requests to all servos at a time: 43 (sts) and 13 (xm).
+        assert 0 < sum(requests) <= 10
+
+
 def registers(servo):
     """Return the RAM registers that bound torque or motion, by name."""
     names = [

@@ -148,7 +148,7 @@ def test_the_gripper_rides_along(grasp):
     [
         ({"dt": 0.0}, "dt must be"),
         ({"rate": 0.0}, "rate must be"),
-        ({"rate": 333.0}, "no whole number"),
+        ({"rate": 333.0}, "not a whole number"),
         ({"delay": (-1, 0)}, "delay must be"),
         ({"delay": 2}, "delay must be"),
         ({"encoder_step": -1.0}, "encoder_step must be at least 0"),

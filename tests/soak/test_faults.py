@@ -39,7 +39,9 @@ def jumped(shift=0.0):
 def throws_neither_the_arm_nor_a_hand(found):
     assert found.ending == "goes on"
     assert found.speed < 0.4
-    assert 5.0 < found.force <= found.allowed < 13.0
+    # The bound grows with the speed of the joints, so the force has one of its own.
+    assert 5.0 < found.force <= found.allowed
+    assert found.force < 12.0
 
 
 def test_a_target_that_jumps_throws_neither_the_arm_nor_a_hand_and_repeats_to_the_bit():

@@ -35,9 +35,9 @@ def test_a_place_of_start_that_is_none_is_refused(saved, start):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("[" * 100_000, "is no motion file: it is nested too deeply"),
-        ('{"format": ' + "1" * 5000 + "}", "is no motion file"),
-        (None, "is no motion file: int too"),
+        ("[" * 100_000, "is not a motion file: it is nested too deeply"),
+        ('{"format": ' + "1" * 5000 + "}", "is not a motion file"),
+        (None, "is not a motion file: int too"),
     ],
 )
 def test_numbers_and_nests_that_are_too_large(saved, text, said, capsys):

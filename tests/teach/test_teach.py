@@ -227,14 +227,14 @@ def test_bounds_are_kept_and_what_is_slower_stays():
 @pytest.mark.parametrize(
     ("name", "text", "words"),
     [
-        ("m.json", "{", "m.json is no motion file: Expecting"),
+        ("m.json", "{", "m.json is not a motion file: Expecting"),
         (
             "m.json",
             '{"format": "pliant motion 1"}',
-            "m.json is no motion file: it has no 'samples'",
+            "m.json is not a motion file: it has no 'samples'",
         ),
-        ("m.mcap", "junk", "m.mcap is no log of pliant: it does not begin as MCAP does"),
-        ("m.mcap", "\x89MCAP0\r\n", "m.mcap is no log of pliant: it ends before"),
+        ("m.mcap", "junk", "m.mcap is not a log of pliant: it does not begin as MCAP does"),
+        ("m.mcap", "\x89MCAP0\r\n", "m.mcap is not a log of pliant: it ends before"),
     ],
 )
 def test_a_broken_file_is_named_with_what_is_wrong(tmp_path, capsys, name, text, words):

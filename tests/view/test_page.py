@@ -109,7 +109,7 @@ def test_scene_has_arm_wall_target_and_floor(seen):
 def test_drums_stand_on_the_axes_of_their_joints(seen):
     last = seen.running[-1]
     seen.scene_view.show(last)
-    data, figure = seen.scene_view._data, seen.info.figure
+    data, figure = seen.scene_view._data, seen.info.mj_model
     for drum, name in zip(seen.scene_view._drums._drums, seen.info.joints, strict=True):
         joint = figure.joint(name).id
         node = seen.scene_view._nodes[int(figure.jnt_bodyid[joint])]
@@ -122,8 +122,8 @@ def test_drums_stand_on_the_axes_of_their_joints(seen):
 def test_drawn_tool_is_where_the_simulation_has_it(seen):
     last = seen.running[-1]
     seen.scene_view.show(last)
-    site = seen.info.figure.site("tool").id
-    mujoco.mj_kinematics(seen.info.figure, seen.scene_view._data)
+    site = seen.info.mj_model.site("tool").id
+    mujoco.mj_kinematics(seen.info.mj_model, seen.scene_view._data)
     np.testing.assert_allclose(seen.scene_view._data.site_xpos[site], last.tool[:3, 3], atol=1e-9)
 
 
@@ -195,7 +195,7 @@ def test_scale_holds_thresholds_and_does_not_flicker(seen):
 
 
 def test_text_from_errors_is_no_markup(seen):
-    assert "<script>" not in html.notice("<script>alert(1)</script>", wrong=True)
+    assert "<script>" not in html.notice("<script>alert(1)</script>", is_error=True)
     assert "<b>" not in html.summary(["<b>"])
 
 
@@ -291,7 +291,7 @@ def test_dragging_the_arm_grabs_pulls_and_lets_go(seen):
 
 
 def test_every_part_of_the_arm_can_be_dragged(seen):
-    for group in seen.scene_view._figure._mesh_groups:
+    for group in seen.scene_view._mujoco_scene._mesh_groups:
         assert group.handle._impl.drag_cb
     shaped = {visual.body for visual in seen.info.visuals}
     assert shaped

@@ -33,7 +33,7 @@ def test_the_stage_comes_first_and_describes_the_scene(script):
     assert info.scenes.keys() == {"free", "door", "drawer", "wall", "hand-over"}
     assert info.axes == ("x", "y", "z", "roll", "pitch", "yaw")
     assert info.max_push == (40.0, 4.0)
-    assert link.snapshots[0].qpos.size == info.figure.nq
+    assert link.snapshots[0].qpos.size == info.mj_model.nq
 
 
 def test_arm_comes_down_after_stop_and_the_page_sees_it(script):

@@ -97,7 +97,7 @@ def test_small_arms_have_a_base_and_a_gripper_and_stand_on_their_table(robot):
     model = pliant.robots.load(robot)
     plant = Plant(model)
     stage = SimpleNamespace(
-        figure=plant.mj_model,
+        mj_model=plant.mj_model,
         visuals=visuals(model, plant.mj_model),
         table=None,
         home=np.eye(4),
@@ -116,7 +116,7 @@ def test_arm_that_hangs_is_above_the_floor_and_a_known_table_counts():
     home = np.eye(4)
     home[2, 3] = -0.28
     stage = SimpleNamespace(
-        figure=plant.mj_model, visuals=visuals(model, plant.mj_model), table=None, home=home
+        mj_model=plant.mj_model, visuals=visuals(model, plant.mj_model), table=None, home=home
     )
     assert _floor_height(stage) == pytest.approx(-0.58)
     stage.table = -0.4

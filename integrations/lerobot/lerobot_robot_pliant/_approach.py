@@ -26,9 +26,9 @@ class Approach:
 
     def step(self, target: np.ndarray, dt: float) -> np.ndarray:
         """Return the joint targets (n,) [rad] `dt` [s] after the last call."""
-        gap = target - self._q
-        largest = float(np.abs(gap).max())
+        difference = target - self._q
+        largest = float(np.abs(difference).max())
         self.is_slow = self.is_slow and largest > ARRIVED
         share = min(1.0, self._speed * dt / largest) if self.is_slow else 1.0
-        self._q = self._q + share * gap
+        self._q = self._q + share * difference
         return self._q

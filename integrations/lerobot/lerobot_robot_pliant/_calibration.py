@@ -1,4 +1,4 @@
-"""The arm's file together with the calibration that LeRobot has of the arm."""
+"""Configuration of an arm, with the calibration that LeRobot has of the arm."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ def load_file(device: Any, kind: Literal["robots", "teleoperators"]) -> Config:
     """Return the arm's configuration with its calibration.
 
     Args:
-        device: LeRobot's device: `id` and `calibration_fpath`, and `config` with `arm`, `port`,
+        device: LeRobot's device, with `id`, `calibration_fpath`, and a `config` with `arm`, `port`,
             `backend` and `calibration`.
-        kind: Follower or leader.
+        kind: `robots`: followers; `teleoperators`: leaders.
 
     Raises:
         ConfigError: As `pliant.config.load`; or the servos are real, the file gives no zeros, and
@@ -39,7 +39,8 @@ def load_file(device: Any, kind: Literal["robots", "teleoperators"]) -> Config:
             "was calibrated (--robot.id, --teleop.id), or the file as `calibration`"
         )
     # A calibration_dir that the user names comes first, then the folders of LeRobot's own arms.
-    own: Path = device.calibration_fpath
-    found = own if own.is_file() else find_calibration(device.id, options.arm, kind)
-    LOG.info("calibration of %s: %s", device.id, found)
-    return pliant.config.load(options.arm, calibration=found, **replaced)
+    path: Path = device.calibration_fpath
+    if not path.is_file():
+        path = find_calibration(device.id, options.arm, kind)
+    LOG.info("calibration of %s: %s", device.id, path)
+    return pliant.config.load(options.arm, calibration=path, **replaced)

@@ -16,10 +16,12 @@ if TYPE_CHECKING:
 
 #: Rate of the loop [Hz].
 RATE = 100.0
-#: Time in which the first tick must come, and in which the thread must end [s].
-START_TIMEOUT, STOP_TIMEOUT = 5.0, 5.0
-#: Longest stall of the thread [s]; the servos hold meanwhile. A library that keeps Python's global
-#: lock stalls it: loading a policy, saving an episode.
+#: Time within which the first tick must come [s].
+START_TIMEOUT = 5.0
+#: Time within which the thread must end [s].
+STOP_TIMEOUT = 5.0
+#: Longest stall of the thread [s], for example while a library holds Python's global lock to load a
+#: policy or to save an episode. The servos hold their goals meanwhile.
 MAX_STALL = 3.0
 
 
@@ -60,8 +62,8 @@ class ControlThread:
     Args:
         arm: The arm, enabled.
         controller: Controller of the loop.
-        behavior: Called in each tick. It must not refer to the robot, which could then never be
-            deleted.
+        behavior: Object whose `step` is called in each tick. It must not refer to the robot, which
+            could then never be garbage-collected.
         on_exit: `lower` or `leave_enabled`.
         recorder: Recorder of the loop; None: no log.
     """
@@ -98,7 +100,7 @@ class ControlThread:
     def stop(self) -> None:
         """End the loop; the arm keeps its last goals and limits until it is lowered."""
         self._stopping.set()
-        # The garbage collector may delete a robot in this very thread.
+        # The garbage collector may delete the robot, and so call `stop`, in this thread itself.
         if self._thread.is_alive() and self._thread is not threading.current_thread():
             self._thread.join(STOP_TIMEOUT)
 

@@ -99,19 +99,19 @@ class BiPliantFollower(Robot):
         return self._prefixed({s: arm.get_observation() for s, arm in self._arms.items()})
 
     def send_action(self, action: Mapping[str, Any]) -> dict[str, float]:
-        """Set the targets of both arms, or of none if the action is wrong for one."""
-        checked = {}
+        """Set the targets of both arms, or of neither if the action is invalid for one."""
+        actions = {}
         for side, arm in self._arms.items():
             prefix = f"{side}_"
-            own = {k.removeprefix(prefix): v for k, v in action.items() if k.startswith(prefix)}
-            checked[side] = arm._check_action(own)
-        return self._prefixed({s: self._arms[s]._set_target(own) for s, own in checked.items()})
+            entries = {k.removeprefix(prefix): v for k, v in action.items() if k.startswith(prefix)}
+            actions[side] = arm._check_action(entries)
+        return self._prefixed({s: self._arms[s]._set_target(a) for s, a in actions.items()})
 
     def disconnect(self) -> None:
         """Lower both arms, one after the other; the second is held meanwhile.
 
         Raises:
-            DeviceNotConnectedError: Not connected.
+            DeviceNotConnectedError: The arms are not connected.
             ServoError: One arm could not be lowered; the other one was lowered.
         """
         if not self.is_connected:

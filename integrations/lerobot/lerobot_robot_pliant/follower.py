@@ -25,13 +25,13 @@ LOG = logging.getLogger(__name__)
 
 #: Axes of the base along which forces are bounded and observed.
 AXES = ("x", "y", "z")
-#: Pause between actions [s] after which the arm approaches its target slowly, as at the start: the
-#: leader may have moved meanwhile.
+#: Pause between two actions above which the arm approaches the new target slowly, as at the start,
+#: because the leader may have moved meanwhile [s].
 PAUSE = 1.0
 #: LeRobot's rollout passes on only numbers whose names end in `.pos` or `.vel`, and sends `.pos`
 #: back to the arm at its end; forces, deviations and caps are therefore called `.vel`.
 SUFFIX = ".vel"
-#: Prefix of the entries of an action that have the force of an axis.
+#: Prefix of the entries of an action that give the largest force of an axis.
 CAP = "cap_"
 
 
@@ -45,8 +45,8 @@ class PliantFollowerOptions:
         backend: `bus`; `emulator` or `sim` need no arm; None: as in the file.
         calibration: LeRobot's calibration file; None: that of LeRobot's own follower with this id.
         soft: Largest force of the tool along the axes of the base [N]: `x=4 y=4 z=4`; empty: the
-            servos' full torque. Each joint may exert what the strongest axis that it moves needs,
-            so one axis much softer than the others gets a force between.
+            servos' full torque. Each joint may exert the torque that the strongest of the axes that
+            it moves needs, so an axis much softer than the others gets more force than given here.
         grip: Largest force at the fingers [N]; None: the gripper's default.
         max_tool_speed: Speed limit of the tool [m/s].
         max_joint_speed: Speed limit of each joint [rad/s].
@@ -93,21 +93,21 @@ class Target:
         q: Joint positions (n,) [rad].
         extra: Positions of joints off the chain by name [rad].
         max_force: Largest force along x, y, z [N].
-        restarted: Number of pauses between actions; the arm approaches slowly after each.
+        pause_count: Number of pauses between actions; the arm approaches slowly after each.
     """
 
     q: np.ndarray
     extra: Mapping[str, float]
     max_force: tuple[float, ...]
-    restarted: int = 0
+    pause_count: int = 0
 
 
 class PliantFollower(Robot):
     """An arm that follows joint targets and yields to a push.
 
-    A thread runs a `pliant.teleop.JointFollower` at 100 Hz and holds the last target, however long
-    the program takes until the next action. `disconnect` lowers the arm. If the thread fails, it
-    lowers the arm at once, and the next call raises.
+    A thread runs a `pliant.teleop.JointFollower` at 100 Hz, and holds the last target until the
+    next action. `disconnect` lowers the arm. If the control loop fails, the thread lowers the arm
+    at once, and the next call raises an error.
     """
 
     config_class = PliantFollowerConfig
@@ -134,7 +134,7 @@ class PliantFollower(Robot):
         """Check options that would otherwise fail in the control loop.
 
         Raises:
-            ConfigError: One is wrong.
+            ConfigError: An option is invalid.
         """
         config = self.config
         for axis in config.soft_action:
@@ -159,7 +159,7 @@ class PliantFollower(Robot):
 
     @cached_property
     def observation_features(self) -> dict[str, type | tuple]:
-        """Joint positions, observed forces and deviations, and pictures."""
+        """Types of joint positions, observed forces and deviations; shapes of camera images."""
         motors: dict[str, type | tuple] = {f"{name}.pos": float for name in self._units}
         for what in self.config.observe:
             motors |= {f"{what}_{axis}{SUFFIX}": float for axis in AXES}
@@ -177,7 +177,7 @@ class PliantFollower(Robot):
 
     @cached_property
     def action_features(self) -> dict[str, type]:
-        """Joint targets, and the force of each axis of `soft_action`."""
+        """Types of the joint targets, and of the largest force of each axis of `soft_action`."""
         motors: dict[str, type] = {f"{name}.pos": float for name in self._units}
         return motors | {f"{CAP}{axis}{SUFFIX}": float for axis in self.config.soft_action}
 
@@ -270,10 +270,12 @@ class PliantFollower(Robot):
         return None if grip is None or gripper is None else grip * (gripper.lever or 1.0)
 
     def get_observation(self) -> dict[str, Any]:
-        """Return positions, observed forces and deviations of the last tick, and pictures.
+        """Return the values of the last tick and the latest camera images, by feature name.
+
+        The values are joint positions in LeRobot's units, observed forces [N] and deviations [m].
 
         Raises:
-            DeviceNotConnectedError: Not connected, or the control loop has ended.
+            DeviceNotConnectedError: The arm is not connected, or the control loop has ended.
         """
         snapshot = self._connected().control.snapshot()
         out: dict[str, Any] = {
@@ -292,33 +294,32 @@ class PliantFollower(Robot):
         """Set the target; the control loop moves there.
 
         Args:
-            action: `NAME.pos` of any motors, and `cap_AXIS.vel`; what is missing keeps its target.
-                Other names, such as observed forces, are ignored.
+            action: `NAME.pos` of any motors, and `cap_AXIS.vel` of any axes of `soft_action`. A
+                missing entry keeps its target. Other names, such as observed forces, are ignored.
 
         Returns:
-            The given values, within the position limits and not below 0 N.
+            The values that were set: positions within their limits, forces of at least 0 N.
 
         Raises:
             ValueError: A value is not finite, there is no such motor, or the force of an axis is
                 not in `soft_action`; the target is unchanged.
-            DeviceNotConnectedError: Not connected, or the control loop has ended.
+            DeviceNotConnectedError: The arm is not connected, or the control loop has ended.
         """
-        wanted = self._check_action(action)
-        return self._set_target(wanted)
+        return self._set_target(self._check_action(action))
 
     def _check_action(self, action: Mapping[str, Any]) -> dict[str, float]:
-        """Return the entries of an action that are for this arm, as numbers."""
+        """Check an action; return its entries for this arm as numbers."""
         self._connected().control.snapshot()
         return {name: _finite(name, value) for name, value in action.items() if self._takes(name)}
 
-    def _set_target(self, given: Mapping[str, float]) -> dict[str, float]:
-        """Set the target from checked entries; return what was set."""
+    def _set_target(self, action: Mapping[str, float]) -> dict[str, float]:
+        """Set the target from a checked action; return the values that were set."""
         session, names = self._connected(), self._model.joint_names
         sent: dict[str, float] = {}
         with self._lock:
             target = session.behavior.target
             q, extra, max_force = target.q.copy(), dict(target.extra), list(target.max_force)
-            for key, value in given.items():
+            for key, value in action.items():
                 if key.startswith(CAP):
                     axis = key.removeprefix(CAP).removesuffix(SUFFIX)
                     max_force[AXES.index(axis)] = sent[key] = max(value, 0.0)
@@ -332,12 +333,16 @@ class PliantFollower(Robot):
                 else:
                     extra[name] = position
                 sent[key] = unit.value(position)
-            restarted = target.restarted + session.has_paused()
-            session.behavior.target = Target(q, extra, tuple(max_force), restarted)
+            pause_count = target.pause_count + session.has_paused()
+            session.behavior.target = Target(q, extra, tuple(max_force), pause_count)
         return sent
 
     def _takes(self, key: str) -> bool:
-        """Return True if an entry of an action is for this arm."""
+        """Return True if an entry of an action is for this arm.
+
+        Raises:
+            ValueError: There is no such motor, or the axis is not in `soft_action`.
+        """
         if key in self.action_features:
             return True
         if key.endswith(".pos"):
@@ -355,8 +360,8 @@ class PliantFollower(Robot):
         """Lower the arm, or leave it enabled, as `on_exit` says; then close the cameras.
 
         Raises:
-            DeviceNotConnectedError: Not connected.
-            ServoError: The arm could not be lowered; everything is closed nevertheless.
+            DeviceNotConnectedError: The arm is not connected.
+            ServoError: The arm could not be lowered; ports and cameras are closed nevertheless.
         """
         session = self._connected()
         try:
@@ -366,7 +371,7 @@ class PliantFollower(Robot):
             self._close(session.arm)
 
     def _close(self, arm: pliant.Arm) -> None:
-        """Lower the arm and close everything, whatever fails."""
+        """Lower and close the arm; then close the cameras, even after an error."""
         try:
             arm.close()
         finally:
@@ -403,7 +408,7 @@ class _FollowerBehavior:
         self.target = target
         self._model, self._observed = arm.model, observe
         self._approach = Approach(target.q, approach_speed)
-        self._restarted = target.restarted
+        self._pause_count = target.pause_count
         self._contact: pliant.ContactEstimator | None = None
         self._sent: tuple[np.ndarray, np.ndarray] | None = None
         if "force" in observe:
@@ -419,26 +424,26 @@ class _FollowerBehavior:
     def step(self, tick: pliant.Tick, controller: JointFollower) -> dict[str, float]:
         """Step toward the target, slowly at first; return the observed values."""
         target = self.target
-        if target.restarted != self._restarted:
-            self._restarted, self._approach.is_slow = target.restarted, True
+        if target.pause_count != self._pause_count:
+            self._pause_count, self._approach.is_slow = target.pause_count, True
         controller.max_force = target.max_force
         observed = self._observe(tick, target.q)
         command = controller.step(tick.q, self._approach.step(target.q, tick.dt), dt=tick.dt)
-        extra = {name: (place, self._limits[name]) for name, place in target.extra.items()}
+        extra = {name: (position, self._limits[name]) for name, position in target.extra.items()}
         send(tick, command, extra)
         self._sent = (command.goal.copy(), command.torque_limit.copy())
         return observed
 
-    def _observe(self, tick: pliant.Tick, wanted: np.ndarray) -> dict[str, float]:
+    def _observe(self, tick: pliant.Tick, target_q: np.ndarray) -> dict[str, float]:
         """Return the observed forces [N] and deviations [m] by feature name."""
         out: dict[str, float] = {}
         if self._contact is not None:
-            felt = self._contact.update(tick.q, dt=tick.dt, sent=self._sent).force[:3]
-            out |= _named("force", felt)
+            force = self._contact.update(tick.q, dt=tick.dt, sent=self._sent).force[:3]
+            out |= _named("force", force)
         if "deviation" in self._observed:
-            poses = (self._model.forward_kinematics(q) for q in (wanted, tick.q))
-            there, here = (np.asarray(pose) for pose in poses)
-            out |= _named("deviation", there[:3, 3] - here[:3, 3])
+            poses = (self._model.forward_kinematics(q) for q in (target_q, tick.q))
+            target, tool = (np.asarray(pose)[:3, 3] for pose in poses)
+            out |= _named("deviation", target - tool)
         return out
 
 
@@ -448,31 +453,31 @@ def _named(what: str, values: np.ndarray) -> dict[str, float]:
 
 
 def parse_forces(soft: str) -> tuple[float, ...]:
-    """Return the largest force along x, y, z [N] of a text such as "x=4 y=4 z=2"; empty: all inf.
+    """Return the largest forces along x, y, z [N] in a text such as "x=4 y=4 z=2"; "": all inf.
 
     Raises:
         ConfigError: A word is not an axis with a force, or repeats an axis; or an axis is missing.
     """
-    found: dict[str, float] = {}
+    forces: dict[str, float] = {}
     for word in soft.replace(",", " ").split():
         axis, _, number = word.partition("=")
         try:
             force = float(number)
         except ValueError:
             force = math.nan
-        if axis not in AXES or axis in found or not 0.0 <= force < math.inf:
+        if axis not in AXES or axis in forces or not 0.0 <= force < math.inf:
             raise pliant.ConfigError(
                 f"soft {word!r}: give each of {', '.join(AXES)} one force from 0 N up, as in "
                 "'x=4 y=4 z=2'"
             )
-        found[axis] = force
-    if missing := [axis for axis in AXES if found and axis not in found]:
+        forces[axis] = force
+    if missing := [axis for axis in AXES if forces and axis not in forces]:
         raise pliant.ConfigError(
             f"soft {soft!r} gives no force for {', '.join(missing)}: every joint moves the tool "
             "along several axes, so one axis without a bound would leave them all without one; "
             "give all three, as in 'x=4 y=4 z=2'"
         )
-    return tuple(found.get(axis, math.inf) for axis in AXES)
+    return tuple(forces.get(axis, math.inf) for axis in AXES)
 
 
 def _finite(name: str, value: Any) -> float:
@@ -493,17 +498,17 @@ class _Session:
     last_action: float | None = None
 
     def has_paused(self) -> bool:
-        """Return True if this action comes after a pause; store its time."""
-        now, before = self.arm.clock.now(), self.last_action
+        """Return True if an action at present comes after a pause; store the present time."""
+        now, last = self.arm.clock.now(), self.last_action
         self.last_action = now
-        return before is None or now - before > PAUSE
+        return last is None or now - last > PAUSE
 
 
 def has_color(camera: Any) -> bool:
-    """Return True if a camera gives colour pictures; older classes of cameras always do."""
+    """Return True if a camera gives colour images; camera classes without `use_rgb` always do."""
     return getattr(camera, "use_rgb", True)
 
 
 def has_depth(camera: Any) -> bool:
-    """Return True if a camera gives depth pictures."""
+    """Return True if a camera gives depth images."""
     return getattr(camera, "use_depth", False)

@@ -25,11 +25,13 @@ LOG = logging.getLogger(__name__)
 
 #: Joint speed while the arm approaches the first target of a policy [rad/s].
 APPROACH_SPEED = 0.5
-#: Longest first swing [s].
+#: Longest duration of the oscillation in which hand guiding measures the friction [s].
 SWING_TIMEOUT = 30.0
-#: Speed [rad/s], and time at rest after it [s], of the motion by which hand guiding learns the
-#: position to which a policy has moved the arm.
-CATCH_UP_SPEED, CATCH_UP_REST = 1.0, 0.3
+#: Speed of the imagined motion from the last position of hand guiding to the one to which a policy
+#: has moved the arm [rad/s].
+CATCH_UP_SPEED = 1.0
+#: Time at rest at the end of that motion [s].
+CATCH_UP_REST = 0.3
 
 
 @TeleoperatorConfig.register_subclass("pliant_leader")
@@ -61,8 +63,9 @@ class PliantLeader(Teleoperator):
     """A leader arm whose servos carry its weight, so that it stays where it is left.
 
     `connect` swings the arm by a few degrees to measure its friction: keep the hands off until it
-    returns. The gripper stays limp. `enable_torque`, `send_feedback` and `disable_torque` let a
-    policy move the arm and hand it back; the arm approaches the policy's first target slowly.
+    returns. The torque limit of the gripper is 0. `enable_torque`, `send_feedback` and
+    `disable_torque` let a policy move the arm and hand it back; the arm approaches the policy's
+    first target slowly.
     """
 
     config_class = PliantLeaderConfig
@@ -119,11 +122,11 @@ class PliantLeader(Teleoperator):
         """Do nothing: nothing is stored in the servos."""
 
     def connect(self, calibrate: bool = True) -> None:
-        """Switch torque on in the present pose, and swing; then the arm is weightless.
+        """Switch torque on in the present pose, and measure friction; then the arm is weightless.
 
         Raises:
-            DeviceAlreadyConnectedError: `disconnect` first.
-            DeviceNotConnectedError: A joint did not follow the swing.
+            DeviceAlreadyConnectedError: The arm is connected; `disconnect` first.
+            DeviceNotConnectedError: A joint did not follow the oscillation.
             ConfigError, ServoError: As `pliant.connect` and `Arm.enable`.
         """
         if self._session is not None:
@@ -142,14 +145,14 @@ class PliantLeader(Teleoperator):
         LOG.info("%s is connected, and weightless", self)
 
     def _start(self, arm: pliant.Arm) -> "_Session":
-        """Start the control loop of an enabled arm; return after the swing."""
+        """Start the control loop of an enabled arm; return once its friction is measured."""
         guiding = _Guiding(pliant.HandGuiding(arm.model, arm.servos, rate=RATE))
         following = JointFollower(arm.model, arm.servos, max_force=self.config.follow_force)
         behavior = _LeaderBehavior(arm, following)
         control = ControlThread(arm, guiding, behavior, on_exit=self.config.on_exit)
         try:
             control.start()
-            # Return no positions during the swing: a follower would copy it.
+            # Return only when the oscillation is over: a follower would copy it.
             end = time.monotonic() + SWING_TIMEOUT
             while not guiding.ready:
                 control.snapshot()
@@ -162,10 +165,10 @@ class PliantLeader(Teleoperator):
         return _Session(arm, control, behavior)
 
     def get_action(self) -> dict[str, float]:
-        """Return the positions of the last tick.
+        """Return the positions of the last tick in LeRobot's units, by `NAME.pos`.
 
         Raises:
-            DeviceNotConnectedError: Not connected, or the control loop has ended.
+            DeviceNotConnectedError: The arm is not connected, or the control loop has ended.
         """
         positions = self._connected().control.snapshot().positions
         return {f"{name}.pos": unit.value(positions[name]) for name, unit in self._units.items()}
@@ -188,26 +191,26 @@ class PliantLeader(Teleoperator):
 
         Raises:
             ValueError: A value is not finite; the target is unchanged.
-            DeviceNotConnectedError: Not connected, or the control loop has ended.
+            DeviceNotConnectedError: The arm is not connected, or the control loop has ended.
         """
         session = self._connected()
         session.control.snapshot()
-        wanted = {
+        values = {
             k.removesuffix(".pos"): float(v) for k, v in feedback.items() if k.endswith(".pos")
         }
-        for name, value in wanted.items():
+        for name, value in values.items():
             if not np.isfinite(value):
                 raise ValueError(f"feedback {name}.pos is {value}: it must be a finite number")
-        own = {n: self._units[n].position(v) for n, v in wanted.items() if n in self._units}
+        positions = {n: self._units[n].position(v) for n, v in values.items() if n in self._units}
         with self._lock:
             if session.behavior.target is not None:
-                session.behavior.target = session.behavior.target | own
+                session.behavior.target = session.behavior.target | positions
 
     def disconnect(self) -> None:
         """Lower the arm, or leave it enabled, as `on_exit` says.
 
         Raises:
-            DeviceNotConnectedError: Not connected.
+            DeviceNotConnectedError: The arm is not connected.
             ServoError: The arm could not be lowered.
         """
         session = self._connected()
@@ -238,13 +241,13 @@ class _LeaderBehavior:
         self._approach: Approach | None = None
 
     def step(self, tick: pliant.Tick, controller: "_Guiding") -> dict[str, float]:
-        """Send goals that follow the hand, or the policy's targets."""
+        """Send goals that follow the hand while weightless, else the policy's targets."""
         target = self.target
         if target is None:
             if self._approach is not None:
                 self._approach = None
                 controller.reset(tick.q)
-            extra = {name: (place, 0.0) for name, place in tick.state.extra.items()}
+            extra = {name: (position, 0.0) for name, position in tick.state.extra.items()}
             send(tick, controller.step(tick.q, dt=tick.dt), extra)
             return {}
         if self._approach is None:
@@ -257,9 +260,9 @@ class _LeaderBehavior:
 
 
 class _Guiding:
-    """Hand guiding that swings only at its first start; later resets keep what it has learnt.
+    """Hand guiding that measures the friction at its first start only; a reset keeps the result.
 
-    A second swing would move the arm while a hand is on it.
+    A second measurement would oscillate the joints while a hand is on the arm.
     """
 
     def __init__(self, guiding: pliant.HandGuiding) -> None:
@@ -268,7 +271,7 @@ class _Guiding:
 
     @property
     def ready(self) -> bool:
-        """True once the swing is over."""
+        """True once the friction is measured."""
         return self._guiding.ready
 
     def reset(self, q: np.ndarray) -> None:
@@ -276,7 +279,7 @@ class _Guiding:
         if self._q is None or not self._guiding.ready:
             self._guiding.reset(q)
             return
-        # Tell the law of a hand that has moved the arm from its last position to q and holds it.
+        # Step the law as if a hand had moved the arm from its last position to q, and held it.
         period = 1.0 / RATE
         steps = math.ceil(float(np.abs(q - self._q).max()) / (CATCH_UP_SPEED * period))
         for share in np.linspace(0.0, 1.0, steps + 1):

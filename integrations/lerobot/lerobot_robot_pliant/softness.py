@@ -1,4 +1,4 @@
-"""`pliant_softness`: softness by a key or pedal, beside any teleoperator."""
+"""`pliant_softness`: a key or pedal that switches the softness, added to any teleoperator."""
 
 import logging
 from collections.abc import Mapping
@@ -44,7 +44,7 @@ FIRM = 10.0
 
 
 class PliantSoftness(Teleoperator):
-    """Another teleoperator's action, with the force of each axis added as `cap_AXIS.vel`."""
+    """Adds the force of each axis, as `cap_AXIS.vel`, to the action of another teleoperator."""
 
     config_class = PliantSoftnessConfig
     name = "pliant_softness"
@@ -115,7 +115,7 @@ class PliantSoftness(Teleoperator):
             )
 
     def _on_press(self, key: Any) -> None:
-        """Switch at the key; called by pynput's thread."""
+        """Switch between soft and firm at the configured key; called by pynput's thread."""
         name = getattr(key, "name", None) or getattr(key, "char", None)
         if name == self.config.key:
             self.toggle()
@@ -140,7 +140,7 @@ class PliantSoftness(Teleoperator):
     def __getattr__(self, name: str) -> Any:
         """Return `enable_torque` or `disable_torque` of the other teleoperator, if it has them.
 
-        LeRobot drives a leader that has both to the follower's pose before it hands over.
+        LeRobot moves a leader with both methods to the follower's pose before the handover.
         """
         if name in ("enable_torque", "disable_torque"):
             return getattr(self.inner, name)

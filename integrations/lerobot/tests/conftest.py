@@ -20,19 +20,22 @@ import pliant
 from pliant.config.factory import make_emulator
 from pliant.emulator.process import EmulatorProcess
 
+# A job that a shell runs in the background ignores SIGINT; its programs would inherit that.
+signal.signal(signal.SIGINT, signal.default_int_handler)
+
 HERE = Path(__file__).parent
 MOTORS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
 
 
 class Program:
-    """One of LeRobot's programs, in a process group of its own as in a terminal."""
+    """One of LeRobot's programs in a separate process group, as in a terminal."""
 
     def __init__(self, name: str, options: list[str], home: Path) -> None:
-        places = [str(HERE), os.environ.get("PYTHONPATH", "")]
+        paths = [str(HERE), os.environ.get("PYTHONPATH", "")]
         environment = {
             "HF_LEROBOT_HOME": str(home),
             "HF_HUB_OFFLINE": "1",
-            "PYTHONPATH": os.pathsep.join(filter(None, places)),
+            "PYTHONPATH": os.pathsep.join(filter(None, paths)),
             "PYTHONUNBUFFERED": "1",
         }
         self.text = ""
@@ -90,13 +93,13 @@ def program(tmp_path):
         return started[-1]
 
     yield start
-    for one in started:
-        if one._process.poll() is None:
-            os.killpg(one._process.pid, signal.SIGKILL)
+    for running in started:
+        if running._process.poll() is None:
+            os.killpg(running._process.pid, signal.SIGKILL)
 
 
 def calibration(middle=2047):
-    """Return LeRobot's calibration of an arm whose zeros are in the middle."""
+    """Return LeRobot's calibration of an arm whose joint zeros are at the count `middle`."""
     return {
         motor: {
             "id": i,
@@ -111,7 +114,7 @@ def calibration(middle=2047):
 
 @contextmanager
 def emulated(arm, folder, **options):
-    """Start an emulated arm that is calibrated; yield the process and its calibration file."""
+    """Start a calibrated emulated arm; yield its process and its calibration file."""
     path = folder / "emulated.json"
     path.write_text(json.dumps(calibration()), "utf-8")
     file = pliant.config.load(arm, calibration=path)

@@ -44,7 +44,7 @@ def patient(monkeypatch):
 
 
 def registers(robot):
-    """Return the registers of all servos, by LeRobot's own table."""
+    """Return the values of all servo registers in LeRobot's table, except the changing ones."""
     bus = robot.bus
     return {
         (motor, name): bus.read(name, motor, normalize=False, num_retry=5)
@@ -55,19 +55,19 @@ def registers(robot):
 
 
 def course(robot):
-    """Move home and away; return the positions on the way."""
+    """Move home and away; return the 30 observations on the way."""
     robot.send_action(HOME | {"gripper.pos": 20.0})
     time.sleep(3.0)
     robot.send_action(AWAY)
-    begin, places = time.perf_counter(), []
+    begin, observations = time.perf_counter(), []
     for k in range(1, 31):
         time.sleep(max(begin + 0.05 * k - time.perf_counter(), 0.0))
-        places.append(robot.get_observation())
-    return places
+        observations.append(robot.get_observation())
+    return observations
 
 
 def setup(name, port, folder, *undo):
-    """Run `pliant servos setup`; LeRobot has set small servos of a Koch to a mode without limit."""
+    """Run `pliant servos setup`: LeRobot sets small Koch servos to a mode without torque limit."""
     run = subprocess.run(
         [
             *(sys.executable, "-m", "pliant.cli", "servos", "setup", name, "--yes"),
@@ -106,9 +106,9 @@ def test_the_stock_arm_moves_after_ours_as_before(name, tmp_path):
             time.sleep(2.0)
             ours.send_action(AWAY)
             time.sleep(2.0)
-            moved = ours.get_observation()
+            observation = ours.get_observation()
             for motor, value in AWAY.items():
-                assert moved[motor] == pytest.approx(value, abs=4.0)
+                assert observation[motor] == pytest.approx(value, abs=4.0)
         if name == "koch":
             setup(name, emulator.port, folder, "--undo", folder / "setup.json")
         with stock() as robot:
@@ -130,17 +130,18 @@ def test_lerobots_leader_moves_our_follower(tmp_path):
             SO101LeaderConfig(port=lead.port, id="lead", calibration_dir=folder, use_degrees=True)
         )
         follower = PliantFollower(PliantFollowerConfig(port=arm.port, calibration=path))
-        gaps, seen = [], []
+        errors, positions = [], []
         with leader, follower:
             assert leader.is_calibrated
             begin = time.perf_counter()
             while time.perf_counter() < begin + 12.0:
-                wanted, have = leader.get_action(), follower.get_observation()
-                follower.send_action(wanted)
+                action, actual = leader.get_action(), follower.get_observation()
+                follower.send_action(action)
                 if time.perf_counter() > begin + 5.0:
-                    gaps.append(max(abs(wanted[f"{m}.pos"] - have[f"{m}.pos"]) for m in MOTORS[:5]))
-                    seen.append(wanted["shoulder_pan.pos"])
+                    pairs = ((action[f"{m}.pos"], actual[f"{m}.pos"]) for m in MOTORS[:5])
+                    errors.append(max(abs(a - b) for a, b in pairs))
+                    positions.append(action["shoulder_pan.pos"])
                 time.sleep(1 / 30)
-    assert max(seen) - min(seen) > 15.0
-    assert sorted(gaps)[len(gaps) // 2] < 5.0
-    assert max(gaps) < 12.0
+    assert max(positions) - min(positions) > 15.0
+    assert sorted(errors)[len(errors) // 2] < 5.0
+    assert max(errors) < 12.0

@@ -1,4 +1,4 @@
-"""LeRobot's own test of its programs, with our robot for its mock."""
+"""LeRobot's own test of its programs, with our robot in place of LeRobot's mock."""
 
 import os
 import subprocess
@@ -12,9 +12,9 @@ CHECKOUT = os.environ.get("LEROBOT_CHECKOUT")
 
 @pytest.mark.skipif(CHECKOUT is None, reason="LEROBOT_CHECKOUT names no clone of LeRobot 0.6.1")
 def test_lerobots_own_test_passes_with_our_robot(tmp_path):
-    places = [str(Path(__file__).parent), str(CHECKOUT), os.environ.get("PYTHONPATH", "")]
+    paths = [str(Path(__file__).parent), str(CHECKOUT), os.environ.get("PYTHONPATH", "")]
     environment = {
-        "PYTHONPATH": os.pathsep.join(filter(None, places)),
+        "PYTHONPATH": os.pathsep.join(filter(None, paths)),
         "HF_LEROBOT_HOME": str(tmp_path / "home"),
         "HF_HUB_OFFLINE": "1",
     }

@@ -1,4 +1,4 @@
-"""Pytest plugin: our robot and a test teleoperator for the mocks in LeRobot's own tests."""
+"""Pytest plugin: our robot and a test teleoperator in place of the mocks in LeRobot's tests."""
 
 import sys
 from functools import partial

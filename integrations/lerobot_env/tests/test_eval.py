@@ -22,22 +22,22 @@ def plugins():
 
 
 class Constant(torch.nn.Module):
-    """A policy that repeats one action, and notes what it sees."""
+    """A policy that repeats one action, and stores its observations."""
 
     def __init__(self, action):
         super().__init__()
-        self.action, self.seen = torch.tensor(action), []
+        self.action, self.batches = torch.tensor(action), []
 
     def reset(self):
         pass
 
     def select_action(self, batch):
-        self.seen.append(batch)
+        self.batches.append(batch)
         return self.action.repeat(len(batch["task"]), 1)
 
 
 def same(value):
-    """Process nothing."""
+    """Return the value unchanged, in place of a processor."""
     return value
 
 
@@ -53,13 +53,13 @@ def rolled_out(config, policy, envs=2):
 def test_lerobots_rollout_opens_doors_softly():
     config = make_env_config("pliant", task="Door-v0")
     policy = Constant([-0.5, 0.1, 0.0, 0.0, 0.0, -0.3, -0.5, -0.5])
-    found = rolled_out(config, policy)
-    assert found["success"].any(dim=1).all()
-    assert found["reward"].sum(dim=1).min() > 1.0
-    seen = policy.seen[0]
-    assert seen["task"] == ["Open the door."] * 2
-    assert seen["observation.state"].shape == (2, *config.features["agent_pos"].shape)
-    assert seen["observation.environment_state"].dtype == torch.float32
+    result = rolled_out(config, policy)
+    assert result["success"].any(dim=1).all()
+    assert result["reward"].sum(dim=1).min() > 1.0
+    batch = policy.batches[0]
+    assert batch["task"] == ["Open the door."] * 2
+    assert batch["observation.state"].shape == (2, *config.features["agent_pos"].shape)
+    assert batch["observation.environment_state"].dtype == torch.float32
 
 
 def evaluate(folder, *options):
@@ -82,7 +82,7 @@ def evaluate(folder, *options):
 
 
 def test_lerobot_eval_runs_a_new_policy_in_processes_and_draws_videos(tmp_path):
-    """A policy of LeRobot gets its sizes from the environment; an action is anything in reach."""
+    """LeRobot takes the sizes of a new policy from the environment; any action is accepted."""
     out = evaluate(tmp_path / "out", "--env.task=Wall-v0", "--eval.use_async_envs=true")
     assert out["overall"]["n_episodes"] == 2
     videos = sorted((tmp_path / "out" / "videos").rglob("*.mp4"))

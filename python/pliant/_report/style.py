@@ -112,9 +112,9 @@ def canvas(
 def save(figure: Figure, folder: Path, name: str) -> None:
     """Write `name.png` and `name.svg` without dates, so that equal figures give equal files."""
     folder.mkdir(parents=True, exist_ok=True)
-    nothing = dict.fromkeys(("Date", "Creator", "Format", "Type"))
+    metadata = dict.fromkeys(("Date", "Creator", "Format", "Type"))
     figure.savefig(folder / f"{name}.png", dpi=PIXELS_PER_INCH, metadata={"Software": None})
-    figure.savefig(folder / f"{name}.svg", metadata=nothing)
+    figure.savefig(folder / f"{name}.svg", metadata=metadata)
 
 
 def thin(t: Array, *, rate: float = 25.0) -> slice:
@@ -148,21 +148,21 @@ def label_end(
     )  # [pt], before the constrained layout, which may reduce it
     gap = 1.15 * size * (high - low) / max(height, 1.0)
     order = sorted(labels)
-    places = [np.clip(y, low, high) for y, _, _ in order]
+    heights = [np.clip(y, low, high) for y, _, _ in order]
     for _ in range(100):
-        crowded = False
-        for i in range(len(places) - 1):
-            lack = gap - (places[i + 1] - places[i])
-            if lack > 1e-9 * gap:
-                places[i] -= lack / 2
-                places[i + 1] += lack / 2
-                crowded = True
-        if not crowded:
+        has_overlap = False
+        for i in range(len(heights) - 1):
+            overlap = gap - (heights[i + 1] - heights[i])
+            if overlap > 1e-9 * gap:
+                heights[i] -= overlap / 2
+                heights[i + 1] += overlap / 2
+                has_overlap = True
+        if not has_overlap:
             break
-    for place, (_, text, colour) in zip(places, order, strict=True):
+    for y, (_, text, colour) in zip(heights, order, strict=True):
         ax.annotate(
             text,
-            (x, place),
+            (x, y),
             xytext=(4, 0),
             textcoords="offset points",
             va="center",

@@ -21,25 +21,25 @@ if TYPE_CHECKING:
 
 #: Type of joint vectors.
 FLOAT = np.dtype(np.float64)
-#: Distance outside its position limits up to which a joint position is still accepted [rad].
+#: Distance by which an accepted joint position may exceed its limits [rad].
 SLACK = 0.1
 #: Largest accepted value of the argument `comm_timeout` [s].
 MAX_COMM_TIMEOUT = 60.0
-#: Differences in a joint's placement [m] and orientation [rad] up to which two models are of the
-#: same robot: those of a measured arm and its drawing.
+#: Largest differences in a joint's position [m] and orientation [rad] between two models of the
+#: same robot, for example one from drawings and one that was measured.
 MAX_SHIFT, MAX_TURN = 0.005, 0.05
 
 
 def vector(model: Model, value: ArrayLike, name: str, *, finite: bool = True) -> Array:
     """Return `value` as a joint vector: a float array (n,), one entry per joint of the chain.
 
-    An array of the right type is returned itself.
+    An array that has this form already is returned without a copy.
 
     Raises:
         ShapeError: The value has the wrong shape, or is not made of real numbers.
-        OutOfRangeError: An entry is not finite, although `finite` is True.
+        OutOfRangeError: `finite` is True, and an entry is not finite.
     """
-    # Most calls: finite numbers as an array of the right type.
+    # Fast path for most calls.
     if type(value) is np.ndarray and value.dtype is FLOAT and value.shape == (model.n,):
         if finite and not all(map(math.isfinite, value.tolist())):
             raise OutOfRangeError(f"{name} is not finite, nothing was sent: {value.tolist()}")
@@ -83,15 +83,15 @@ def check_same_robot(model: Model, arm: Model) -> None:
 
 
 def _moved_joint(model: Model, other: Model) -> str | None:
-    """Return the first joint of the chain that moves otherwise than in another model, else None."""
-    for one, same in zip(_chain(model), _chain(other), strict=True):
-        if one.kind != same.kind:
-            return one.name
-        if not np.allclose(one.axis, same.axis, rtol=0.0, atol=MAX_TURN):
-            return one.name
-        moved = np.asarray(one.origin.matrix) - np.asarray(same.origin.matrix)
-        if np.abs(moved[:3, 3]).max() > MAX_SHIFT or np.abs(moved[:3, :3]).max() > MAX_TURN:
-            return one.name
+    """Return the first joint whose type, axis or origin differs in the two models, or None."""
+    for a, b in zip(_chain(model), _chain(other), strict=True):
+        if a.kind != b.kind:
+            return a.name
+        if not np.allclose(a.axis, b.axis, rtol=0.0, atol=MAX_TURN):
+            return a.name
+        change = np.asarray(a.origin.matrix) - np.asarray(b.origin.matrix)
+        if np.abs(change[:3, 3]).max() > MAX_SHIFT or np.abs(change[:3, :3]).max() > MAX_TURN:
+            return a.name
     return None
 
 
@@ -144,8 +144,8 @@ def outside(model: Model, q: Array) -> Iterator[tuple[str, float, float, float]]
         Name, position [rad], lower and upper position limit [rad] of each such joint.
     """
     for row in zip(model.joint_names, q.tolist(), model.lower, model.upper, strict=True):
-        _, here, low, high = row
-        if not low - SLACK <= here <= high + SLACK:
+        _, position, low, high = row
+        if not low - SLACK <= position <= high + SLACK:
             yield row
 
 
@@ -162,7 +162,7 @@ def check_rest(
     """Check that no point of the arm is inside the table in the rest pose `rest` (n,) [rad].
 
     `table` is the height of the table in base axes [m]; None: nothing is checked. `name` is the
-    name of the argument that has the pose.
+    name of the argument `rest` in error messages.
 
     Raises:
         OutOfRangeError: A point of the arm is inside the table.

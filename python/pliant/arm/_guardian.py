@@ -33,7 +33,7 @@ SIZE = 16
 
 
 class Guardian:
-    """Process beside the program that lowers the arm if the program ends with torque on.
+    """Process that lowers the arm if the program ends with torque on.
 
     The process starts at once, and imports its modules while the program does other work. It runs
     in its own session, so that signals of a terminal do not reach it. `close` ends it; without
@@ -53,10 +53,10 @@ class Guardian:
         ours, theirs = (_above_standard(end.detach()) for end in socket.socketpair())
         try:
             heartbeat = memoryview(mmap.mmap(number, SIZE)).cast("d")
-            words = (os.getpid(), theirs, number)
+            arguments = (os.getpid(), theirs, number)
             self._process = subprocess.Popen(
                 # -P: do not import modules from the working directory.
-                [_executable(), "-P", "-m", "pliant.arm._guardian_process", *map(str, words)],
+                [_executable(), "-P", "-m", "pliant.arm._guardian_process", *map(str, arguments)],
                 pass_fds=(theirs, number),
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
@@ -129,7 +129,7 @@ class Guardian:
             return
         self.rest()
         self._line.close()
-        # The guardian is not in charge of the arm now, so that it can be killed.
+        # The guardian does not watch an arm now, so it can be killed.
         self._process.kill()
         self._process.wait()
 
@@ -185,10 +185,10 @@ def _executable() -> str:
 
 
 def _above_standard(number: int) -> int:
-    """Return a descriptor of the same file above those of the standard streams; close `number`.
+    """Return `number` if it is above 2, else a descriptor above 2 of the same file; close `number`.
 
-    A program with closed standard streams gets their descriptors for the files that it opens. The
-    guardian process has streams there.
+    A program with closed standard streams gets descriptors 0 to 2 for the files that it opens, but
+    the guardian process has its standard streams there.
     """
     from fcntl import F_DUPFD_CLOEXEC, fcntl  # not on Windows, where there is no guardian
 

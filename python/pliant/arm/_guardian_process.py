@@ -35,7 +35,7 @@ PERIOD = 0.1
 MARGIN = 1.0
 #: Longest time until the port of an ended program can be opened [s].
 OPEN_TIME = 30.0
-#: Time between two tries to open it [s].
+#: Time between two attempts to open that port [s].
 OPEN_PERIOD = 0.01
 #: Longest wait for the end of the program after SIGKILL [s]; a hanging system call may delay it.
 KILL_TIME = 5.0
@@ -84,16 +84,16 @@ class Program:
         """Return a sentence if the program has stopped or hangs, else None.
 
         Args:
-            patience: Longest stop that is accepted [s], in addition to `MARGIN`.
+            patience: Longest stop that is accepted [s]; `MARGIN` is added.
         """
         now = time.monotonic()
         passed, self._checked = min(now - self._checked, 2.0 * PERIOD), now
-        found = tuple(self._heartbeat)
+        heartbeat = tuple(self._heartbeat)
         # A new timeout counts as a heartbeat: the silence before it was within the old timeout.
-        if found != self._last:
-            self._last, self._silent, self._stopped = found, 0.0, 0.0
+        if heartbeat != self._last:
+            self._last, self._silent, self._stopped = heartbeat, 0.0, 0.0
             return None
-        _, limit = found
+        _, limit = heartbeat
         self._silent = self._silent + passed if limit > 0.0 else 0.0
         self._stopped = self._stopped + passed if _is_stopped(self.pid) else 0.0
         if self._stopped > patience + MARGIN:
@@ -175,7 +175,7 @@ def take_over(arm: Arm, reason: str, program: Program) -> None:
 
     Args:
         arm: The arm, not open.
-        reason: What has happened to the program.
+        reason: What has happened to the program, for messages.
         program: The program.
     """
     deadline = time.monotonic() + OPEN_TIME
@@ -189,7 +189,7 @@ def take_over(arm: Arm, reason: str, program: Program) -> None:
             # The next try opens the ports again.
             with suppress(ServoError):
                 arm.drive.close()
-            # The port of a program that runs, or does not end, is locked.
+            # A program that has not ended yet still locks the port.
             if time.monotonic() > deadline:
                 MESSAGES.post(
                     f"{arm.model.name} was not lowered by its guardian ({reason}; {brief(error)}): "
@@ -213,7 +213,7 @@ def _set_policy(name: str) -> None:
             os.sched_setscheduler(0, getattr(os, name), os.sched_param(0))
 
 
-def main(words: Sequence[str]) -> None:
+def main(arguments: Sequence[str]) -> None:
     """Watch the program, and take over its arm when it ends or hangs."""
     for name in IGNORED:
         if hasattr(signal, name):
@@ -222,14 +222,14 @@ def main(words: Sequence[str]) -> None:
     for name in DRIVERS:
         with suppress(ImportError):
             import_module(name)
-    pid, socket, memory = (int(word) for word in words)
+    pid, socket, memory = (int(argument) for argument in arguments)
     heartbeat = memoryview(mmap.mmap(memory, SIZE)).cast("d")
     MESSAGES.start()
     program = Program(pid, heartbeat)
-    found = watch(program, Connection(socket))
-    if found is not None:
+    arm_and_reason = watch(program, Connection(socket))
+    if arm_and_reason is not None:
         _set_policy("SCHED_OTHER")
-        take_over(*found, program)
+        take_over(*arm_and_reason, program)
         MESSAGES.flush()
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import warnings
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,6 +17,7 @@ from pliant._core import (
     PositionFilter,
     ServoError,
     ServoTimeoutError,
+    ShapeError,
 )
 from pliant._servo_tables import take
 from pliant._validation import format_value, mapping, real
@@ -34,6 +36,10 @@ if TYPE_CHECKING:
     from pliant.drive import Clock, Drive, ServoStatus
 
     Orders = Mapping[str, tuple[float, float]]
+    #: Result of `CommandLimiter.update`.
+    Updated = tuple[
+        bool, Array, float, list[float], Array, Array | None, Array | None, Array | None, bool
+    ]
 
 
 #: Assumed largest speed of a joint without a speed limit in the model [rad/s].
@@ -235,30 +241,22 @@ class ArmIO:
         )
         self._low_torque = LowTorqueWarning(model, self.servos)
         self.orders: dict[str, tuple[float, float]] = {}
-        self._off_chain: list[tuple[float, float]] = []
-        self._off_chain_rows: Array = np.zeros((0, 2))
         self._ramp_start: float = -math.inf
         self._min_limit: Array = np.zeros(model.n)
         self._last_update = math.nan
         # Last goals [rad] and torque limits [N·m] of all joints (N,), and True once they were sent.
         self._goals, self._limits, self._is_sent = np.zeros(size), np.zeros(size), False
-        self._unlimited = np.full(size, np.inf)
         # Read-only arrays (N,): states hold views of them, so a change creates a new array.
         self._voltage = self._temperature = _with_entry(np.full(size, np.nan), 0, np.nan)
         self._chain_voltage = self._chain_temperature = self._voltage[self.joints.select]
+        # Last voltage [V] and temperature [°C] by joint name; None: not known.
+        self._supply: dict[str, tuple[float | None, float | None]] = {}
         self._reported: dict[str, tuple[str, ...]] = {}
-        self._index = {name: i for i, name in enumerate(self.joints.names)}
-        self._no_readings = JointReadings(np.full(size, np.nan), np.zeros(size, dtype=bool), 0.0)
-        # Last reading: of all joints, of the chain (n,), and of the joints off the chain; and
-        # whether the arm has faults that follow from positions or heat.
-        self._sample = self._no_readings
-        self._q = self._age = np.full(model.n, np.nan)
-        self._time, self._extra, self._is_suspect = -math.inf, list[float](), False
+        # Last reading of all joints.
+        self._sample = JointReadings(np.full(size, np.nan), np.zeros(size, dtype=bool), 0.0)
         self._watchdog = 0.0
         # Times of the last bus access and of the last position received [s].
         self._last_access = self._last_position = self.clock.now()
-        #: Joints that had an answer in the last `sample` (N,).
-        self._read: Mask = np.zeros(size, dtype=bool)
         #: Joints (N,) of an ended program that may have torque, and have not answered so far.
         self.torque_unknown: Mask = np.zeros(size, dtype=bool)
 
@@ -270,36 +268,8 @@ class ArmIO:
         Raises:
             ServoError: The connection to the drive is lost.
         """
-        if self._watchdog:
-            self._rearm_after_silence()
-        try:
-            sample = self._sample = self.drive.read()
-        except ServoTimeoutError:
-            sample = self._no_readings
-        finally:
-            self._last_access = now = self.clock.now()
-        self._read = read = np.asarray(sample.ok, dtype=bool)
-        if self._watchdog and read.any():
-            gap, self._last_position = now - self._last_position, now
-            if gap > 0.5 * self._watchdog:
-                self._rearm()
-        passed, self._last_update = now - self._last_update, now
-        is_new: Mask
-        is_new, self._q, self._age, self._time, self._extra, self._is_suspect = (
-            self._limiter.update(
-                self.positions,
-                sample.position,
-                read,
-                sample.time,
-                sample.load,
-                goal=self._goals,
-                limit=self._limits,
-                dt=passed if self._is_sent else 0.0,
-                now=now,
-                max_jumps=MAX_JUMPS,
-                max_heat=TOO_HOT,
-            )
-        )
+        self._update()
+        is_new: Mask = self.positions.accepted[self.joints.chain]
         return is_new
 
     def read(self) -> State:
@@ -308,24 +278,63 @@ class ArmIO:
         Raises:
             ServoError: The connection to the drive is lost.
         """
-        is_fresh = False not in self.sample().tolist()
-        sample, chain = self._sample, self.joints.select
+        is_fresh, q, time, off_chain, age, dq, load, current, is_suspect = self._update()
         # The constructor of a frozen dataclass makes a call per attribute.
         state = object.__new__(State)
         state.__dict__.update(
-            q=self._q,
-            dq=None if sample.velocity is None else sample.velocity[chain],
-            time=self._time,
+            q=q,
+            dq=dq,
+            time=time,
             fresh=is_fresh,
-            extra=dict(zip(self.joints.extra, self._extra, strict=True)),
-            age=self._age,
-            load=None if sample.load is None else sample.load[chain],
-            current=None if sample.current is None else sample.current[chain],
+            extra=dict(zip(self.joints.extra, off_chain, strict=True)),
+            age=age,
+            load=load,
+            current=current,
             voltage=self._chain_voltage,
             temperature=self._chain_temperature,
-            faults=self.faults() if self._is_suspect or self._reported else (),
+            faults=self.faults() if is_suspect or self._reported else (),
         )
         return state
+
+    def _update(self) -> Updated:
+        """Read all joints, and update the filter of positions and the heat of the servos.
+
+        Returns:
+            The values that `CommandLimiter.update` returns.
+
+        Raises:
+            ServoError: The connection to the drive is lost.
+        """
+        if self._watchdog:
+            self._rearm_after_silence()
+        try:
+            sample = self.drive.read()
+        except ServoTimeoutError:
+            # No joint has answered; each keeps its last values.
+            sample = replace(self._sample, ok=np.zeros(len(self.joints.names), dtype=bool))
+        finally:
+            self._last_access = now = self.clock.now()
+        self._sample = sample
+        if self._watchdog and np.any(sample.ok):
+            gap, self._last_position = now - self._last_position, now
+            if gap > 0.5 * self._watchdog:
+                self._rearm()
+        passed, self._last_update = now - self._last_update, now
+        return self._limiter.update(
+            self.positions,
+            sample.position,
+            sample.ok,
+            sample.time,
+            sample.velocity,
+            sample.load,
+            sample.current,
+            goal=self._goals,
+            limit=self._limits,
+            dt=passed if self._is_sent else 0.0,
+            now=now,
+            max_jumps=MAX_JUMPS,
+            max_heat=TOO_HOT,
+        )
 
     def faults(self) -> tuple[str, ...]:
         """Return the present faults of the servos, one sentence each."""
@@ -454,7 +463,7 @@ class ArmIO:
             ServoError: The connection to the drive is lost.
         """
         before = self.torque_unknown
-        if not (before & self._read).any():
+        if not (before & self._sample.ok).any():
             return False
         goals, limits = self._reopen()
         found = before & ~self.torque_unknown
@@ -496,15 +505,39 @@ class ArmIO:
         velocity: ArrayLike | None = None,
     ) -> None:
         """Validate, clip and send goals and limits; `Arm.write` documents the arguments."""
-        goal = vector(self.model, goal, "goal")
-        limit = self.limit if limit is None else vector(self.model, limit, "limit")
+        limit = self.limit if limit is None else limit
+        orders = self.orders if extra is None else {**self.orders, **self.joints.check(extra)}
+        state = (
+            self.positions,
+            list(map(orders.__getitem__, self.joints.extra)),
+            (self.clock.now() - self._ramp_start) / RAMP_TIME,
+            self._min_limit,
+        )
+        try:
+            limited = self._limiter.limit(goal, limit, velocity, *state, lead=lead)
+        except (ShapeError, OutOfRangeError, TypeError):
+            # Raises an error that names the joint, or converts what only NumPy can.
+            goal, limit, velocity = self._check_command(goal, limit, velocity)
+            limited = self._limiter.limit(goal, limit, velocity, *state, lead=lead)
+        self.orders = orders
+        goals, limits, speeds, gravity = limited
+        self._transmit(goals, limits, speeds)
+        if gravity is None:
+            self._low_torque.reset()
+        else:
+            self._low_torque.check(np.asarray(limit), gravity, self.clock.now())
+
+    def _check_command(
+        self, goal: ArrayLike, limit: ArrayLike, velocity: ArrayLike | None
+    ) -> tuple[Array, Array, Array | None]:
+        """Validate and return goals, torque limits and largest speeds (n,) of the chain."""
+        goal, limit = vector(self.model, goal, "goal"), vector(self.model, limit, "limit")
         if (least := min(limit.tolist())) < 0.0:
             raise OutOfRangeError(f"limit must be at least 0 N·m, got {least:g}")
         if velocity is not None:
             velocity = vector(self.model, velocity, "velocity", finite=False)
             if not all(map((0.0).__le__, velocity.tolist())):
                 raise OutOfRangeError(f"velocity must be at least 0 rad/s, got {velocity.tolist()}")
-        orders = {} if extra is None else self.joints.check(extra)
         joint = self._limiter.unreachable(goal)
         if joint is not None:
             model = self.model
@@ -513,40 +546,25 @@ class ArmIO:
                 f"{model.lower[joint]:.3g} to {model.upper[joint]:.3g} rad: are these degrees? "
                 "Nothing was sent"
             )
-        position = self.positions.position
-        gravity = self.model.gravity(position[self.joints.select])
-        if orders:
-            self.orders = {**self.orders, **orders}
-        off_chain = list(map(self.orders.__getitem__, self.joints.extra))
-        if off_chain != self._off_chain:
-            self._off_chain = off_chain
-            self._off_chain_rows = np.array(off_chain, dtype=np.float64).reshape(-1, 2)
-        goals, limits = self._limiter.limit(
-            goal,
-            limit,
-            gravity,
-            position,
-            self._off_chain_rows,
-            ramp=(self.clock.now() - self._ramp_start) / RAMP_TIME,
-            ramp_start=self._min_limit,
-            lead=lead,
-        )
-        self._transmit(goals, limits, velocity)
-        if lead:
-            self._low_torque.reset()
-        else:
-            self._low_torque.check(limit, gravity, self.clock.now())
+        return goal, limit, velocity
 
-    def start(self, goal: Array, limit: Array) -> None:
+    def start(self, goal: Array, limit: Array, lead: Array) -> None:
         """Switch torque on with these first goals [rad] and limits [N·m] (n,).
+
+        Joints without torque start with `lead` (n,) [rad] in addition, if the drive accepts it.
 
         Raises:
             ServoError: A joint moved when torque came on, or its servo did not confirm.
         """
         usable = self._usable[self.joints.chain]
-        self._goals, self._limits = self._in_drive_order(goal, np.minimum(limit, usable))
-        self._is_sent = True
-        self.drive.enable(self._goals, self._limits)
+        goals, self._limits = self._in_drive_order(goal, np.minimum(limit, usable))
+        self._goals, self._is_sent = goals, True
+        if getattr(self.drive, "accepts_lead", False):
+            leads = self.joints.join(lead, np.zeros(len(self.joints.off_chain)))
+            self._goals = goals + leads
+            self.drive.enable(goals, self._limits, lead=leads)  # type: ignore[call-arg]
+        else:
+            self.drive.enable(goals, self._limits)
 
     def send(self, goal: Array, limit: Array, velocity: Array | None = None) -> None:
         """Send goals and limits of the chain, and `orders` to the joints off the chain.
@@ -560,17 +578,15 @@ class ArmIO:
             ServoError: The connection to the drive is lost.
         """
         usable = self._usable[self.joints.chain]
+        if velocity is not None:
+            velocity = self.joints.join(velocity, np.full(len(self.joints.extra), np.inf))
         self._transmit(*self._in_drive_order(goal, np.minimum(limit, usable)), velocity)
 
-    def _transmit(self, goals: Array, limits: Array, velocity: Array | None) -> None:
-        """Send goals [rad] and limits [N·m] of all joints (N,); `velocity` is that of the chain."""
+    def _transmit(self, goals: Array, limits: Array, speeds: Array | None) -> None:
+        """Send goals [rad], torque limits [N·m] and largest speeds [rad/s] of all joints (N,)."""
         if self._watchdog:
             self._rearm_after_silence()
         self._goals, self._limits, self._is_sent = goals, limits, True
-        speeds = None
-        if velocity is not None:
-            speeds = self._unlimited.copy()
-            speeds[self.joints.select] = velocity
         self.drive.write(goals, limits, speeds)
         self._last_access = self.clock.now()
         self._update_status(self.drive.poll_status())
@@ -591,18 +607,24 @@ class ArmIO:
         """Store voltage, temperature and faults of the servo in `status`; None: do nothing."""
         if status is None:
             return
-        index = self._index[status.name]
-        if status.voltage is not None and status.voltage != self._voltage[index]:
-            self._voltage = _with_entry(self._voltage, index, status.voltage)
-            self._chain_voltage = self._voltage[self.joints.select]
-        if status.temperature is not None and status.temperature != self._temperature[index]:
-            self.thermal.set_temperature(index, status.temperature)
-            self._temperature = _with_entry(self._temperature, index, status.temperature)
-            self._chain_temperature = self._temperature[self.joints.select]
+        name, supply = status.name, (status.voltage, status.temperature)
+        if supply != self._supply.get(name):
+            self._supply[name] = supply
+            self._store_supply(self.joints.index(name), *supply)
         if status.faults:
-            self._reported[status.name] = status.faults
+            self._reported[name] = status.faults
         elif self._reported:
-            self._reported.pop(status.name, None)
+            self._reported.pop(name, None)
+
+    def _store_supply(self, index: int, voltage: float | None, temperature: float | None) -> None:
+        """Store voltage [V] and temperature [°C] of a joint; None keeps the last value."""
+        if voltage is not None:
+            self._voltage = _with_entry(self._voltage, index, voltage)
+            self._chain_voltage = self._voltage[self.joints.select]
+        if temperature is not None:
+            self.thermal.set_temperature(index, temperature)
+            self._temperature = _with_entry(self._temperature, index, temperature)
+            self._chain_temperature = self._temperature[self.joints.select]
 
 
 def _with_entry(values: Array, index: int, value: float | None) -> Array:

@@ -54,7 +54,7 @@ class MessageQueue:
         self._queue: queue.SimpleQueue[Message] = queue.SimpleQueue()
         self._last: Message | None = None
         self._blocked: Message | None = None
-        self._line_open, self._written = False, -PROGRESS_PERIOD
+        self._line_open, self._last_write_time = False, -PROGRESS_PERIOD
 
     def start(self) -> None:
         """Start the thread that writes, once per process; signal handlers must not call this."""
@@ -81,7 +81,7 @@ class MessageQueue:
     def flush(self, within: float = FLUSH_TIMEOUT) -> None:
         """Wait until all messages are written, at most `within` [s].
 
-        If the last call ended without success and the stream is still blocked, return at once.
+        If the last call has timed out and its last message is still not written, return at once.
         """
         last = self._last
         if last is None or (self._blocked is not None and not self._blocked.is_written):
@@ -102,10 +102,10 @@ class MessageQueue:
     def _write(self, message: Message) -> None:
         """Pass a message to `logging` if it has a handler, else write it to standard error."""
         now = time.monotonic()
-        sparse = message.progress and now - self._written < PROGRESS_PERIOD
+        is_too_soon = message.progress and now - self._last_write_time < PROGRESS_PERIOD
         if LOGGER.hasHandlers():
-            if not sparse:
-                self._written = now
+            if not is_too_soon:
+                self._last_write_time = now
                 LOGGER.log(message.level, message.text)
             return
         stream = sys.stderr
@@ -113,8 +113,8 @@ class MessageQueue:
             return
         text = f"pliant: {message.text}"
         # Write to the file descriptor: a blocked write to Python's stream would hold its lock.
-        own = sys.__stderr__
-        number = own.fileno() if own is not None and stream is own else None
+        stderr = sys.__stderr__
+        number = stderr.fileno() if stderr is not None and stream is stderr else None
         if number is not None and os.isatty(number) and os.environ.get("TERM") != "dumb":
             if message.progress:
                 width = os.get_terminal_size(number).columns or WIDTH
@@ -122,18 +122,18 @@ class MessageQueue:
             else:
                 text = ("\r\x1b[K" if self._line_open else "") + f"{text}\r\n"
             self._line_open = message.progress
-        elif sparse:
+        elif is_too_soon:
             return
         else:
             text = f"{text}\n"
-        self._written = now
+        self._last_write_time = now
         if number is None:
             stream.write(text)
             stream.flush()
             return
-        left = text.encode(errors="replace")
-        while left:
-            left = left[os.write(number, left) :]
+        data = text.encode(errors="replace")
+        while data:
+            data = data[os.write(number, data) :]
 
 
 def _is_enabled(level: int) -> bool:

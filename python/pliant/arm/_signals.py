@@ -39,8 +39,8 @@ HANDLED = tuple(
 #: Time after a signal in which a repetition counts as a key repeat [s]; keyboards start to repeat
 #: a pressed key after 0.25 to 0.66 s.
 REPEAT_TIME = 0.75
-#: Time after the abort of a descent from which on a third Ctrl-C ends the program, because a bus
-#: call seems to hang [s].
+#: Time after the abort of a descent [s]; a third Ctrl-C after it ends the program, because a bus
+#: call seems to hang.
 HANG_TIMEOUT = 1.0
 
 
@@ -92,7 +92,7 @@ class Signals:
         self.leaving = False
 
     def hold(self) -> None:
-        """Store signals until `deliver`: an exception would end what is about to lower the arm."""
+        """Store signals until `deliver`: an exception could keep the arm from being lowered."""
         if self.installed:
             self.leaving = True
 
@@ -186,13 +186,13 @@ class Registry:
         # by the exception of a pending Ctrl-C.
         number = _stronger(signal_of(sys.exception()), pending)
         if stopped:
-            raised: BaseException = SystemExit(128 + (number or signal.SIGINT))
+            error: BaseException = SystemExit(128 + (number or signal.SIGINT))
         elif pending is None or number != pending:
             return
         else:
-            raised = exception(pending)
+            error = exception(pending)
         if threading.current_thread() is threading.main_thread():
-            raise raised
+            raise error
         os.kill(os.getpid(), number or signal.SIGINT)
 
     def _catch(self, number: int, frame: FrameType | None) -> None:
@@ -241,7 +241,7 @@ class Registry:
                     arm.stop()
 
     def _pass_on(self, number: int, frame: FrameType | None) -> None:
-        """Call the handler that was set before this package's, or the signal's default action."""
+        """Call the former handler of a signal; without one, take the signal's default action."""
         former = self._before.get(number)
         if callable(former):
             former(number, frame)
@@ -259,7 +259,7 @@ def exception(number: int) -> BaseException:
 
 
 def _stronger(first: int | None, second: int | None) -> int | None:
-    """Return the signal to deliver of two, None being no signal; any other signal beats SIGINT.
+    """Return which of two signals to deliver (None: no signal): the one that is not SIGINT, if any.
 
     Programs often catch the exception of SIGINT, so it might not end the program.
     """

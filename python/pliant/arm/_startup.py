@@ -25,6 +25,9 @@ MAX_FIRST_LEAD = 0.1
 #: First lead (goal minus position) of a joint, as a multiple of limit over assumed stiffness: with
 #: 2, a servo of half the assumed stiffness also exerts its limit.
 LEAD_FACTOR = 2.0
+#: `FIRST_LEAD` is added to the lead of `LEAD_FACTOR`, for the motion until the next goal [rad];
+#: `LARGEST_LEAD` bounds the sum [rad].
+FIRST_LEAD, LARGEST_LEAD = 0.03, 0.8
 #: Ratio of measured to assumed servo stiffness, or inverse ratio, above which the user is warned.
 MISMATCH = 1.5
 
@@ -70,12 +73,14 @@ def check_within_limits(io: ArmIO, on: Mask) -> None:
         )
 
 
-def initial_commands(io: ArmIO, on: Mask) -> tuple[Array, Array, Mask]:
-    """Return first goals (n,) [rad], first limits (n,) [N·m], and a mask (n,) of joints taken over.
+def initial_commands(io: ArmIO, on: Mask) -> tuple[Array, Array, Array, Mask]:
+    """Return first goals, limits, leads (n,), and a mask (n,) of joints taken over.
 
-    Joints without torque get their present positions as goals. Joints with torque are taken over:
-    they keep the goals and limits in their registers. Joints with unknown registers get a limit of
-    about the gravity torque.
+    Goals and leads are in rad, limits in N·m. Joints without torque get their present positions as
+    goals, and a lead with which they exert their limit, about the gravity torque: without it, they
+    would sink until the first goal of the weight transfer. The other leads are 0. Joints with
+    torque are taken over: they keep the goals and limits in their registers. Joints with unknown
+    registers get a limit of about the gravity torque.
 
     Args:
         io: Read and write access to the arm.
@@ -94,7 +99,18 @@ def initial_commands(io: ArmIO, on: Mask) -> tuple[Array, Array, Mask]:
     limit = np.where(taken, np.minimum(limits, usable), limit)
     max_lead = LEAD_FACTOR * limit / kp
     goal = np.where(taken, q + np.clip(goals - q, -max_lead, max_lead), goal)
-    return goal, limit, taken
+    lead = weight / kp if servos.stiffness_known else full_lead(weight, kp)
+    return goal, limit, np.where(on, 0.0, lead), taken
+
+
+def full_lead(torque: Array, kp: Array) -> Array:
+    """Return the leads (n,) [rad] with which servos exert limits of |torque| (n,) [N·m].
+
+    `kp` is the assumed stiffness (n,) [N·m/rad], see `LEAD_FACTOR`.
+    """
+    size = LEAD_FACTOR * np.abs(torque) / kp + FIRST_LEAD
+    lead: Array = np.sign(torque) * np.minimum(size, LARGEST_LEAD)
+    return lead
 
 
 def stiffness_mismatch(io: ArmIO, leads: Array) -> str | None:

@@ -110,7 +110,7 @@ class Supervisor:
         try:
             self.lock.acquire()
         except BaseException:
-            # A descent that is aborted sends goals that hold the arm, before the program ends.
+            # Wait for the aborted descent: it still sends goals that hold the arm.
             if self.abort.is_set() and self.lock.acquire(timeout=1.0):
                 self.lock.release()
             raise
@@ -131,10 +131,10 @@ class Supervisor:
         arm. It ends with `end_supervision`, with the next `supervised`, or after the call of
         `leave`.
         """
+        self.end_supervision()
         if timeout is None:
             yield self.check
             return
-        self.end_supervision()
         self.heartbeat[1] = timeout
         done = self._done = threading.Event()
         self._last_call = time.perf_counter()
@@ -174,14 +174,14 @@ class Supervisor:
             with self.lock:
                 # Compute the stall again: another thread may have accessed the drive while this
                 # thread waited for the lock.
-                silent = time.perf_counter() - self._last_call
-                if silent >= timeout and not done.is_set() and self.reason is None:
-                    self._take_over(silent)
+                stall = time.perf_counter() - self._last_call
+                if stall >= timeout and not done.is_set() and self.reason is None:
+                    self._take_over(stall)
                     return
 
-    def _take_over(self, silent: float) -> None:
-        """Call `leave` after a stall of `silent` [s]; store the stall and any error in `reason`."""
-        self.reason = f"the program did not come back for {silent:.2f} s: the arm was taken over"
+    def _take_over(self, stall: float) -> None:
+        """Call `leave` after a stall of `stall` [s]; store the stall and any error in `reason`."""
+        self.reason = f"the program did not come back for {stall:.2f} s: the arm was taken over"
         self.abort.clear()
         interval = sys.getswitchinterval()
         sys.setswitchinterval(min(interval, SWITCH_INTERVAL))

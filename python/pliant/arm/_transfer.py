@@ -14,7 +14,7 @@ import numpy as np
 
 from pliant._core import SUPPORT, ServoError, ServoTimeoutError, torque_margin
 from pliant.arm._io import RAMP_TIME
-from pliant.arm._startup import LEAD_FACTOR
+from pliant.arm._startup import LEAD_FACTOR, full_lead
 
 if TYPE_CHECKING:
     from pliant._core import ArmPoints
@@ -22,14 +22,11 @@ if TYPE_CHECKING:
     from pliant.arm._io import ArmIO
 
 
-#: `FIRST_LEAD` is added to the lead of `LEAD_FACTOR`, for the motion until the next goal [rad];
-#: `LARGEST_LEAD` bounds the sum [rad].
-FIRST_LEAD, LARGEST_LEAD = 0.03, 0.8
 #: Minimum loop rate of the transfer [Hz].
 LOOP_RATE = 250.0
 #: The balance begins once the tool has sunk by `SINK` or risen by `RISE` [m], each plus half an
 #: encoder step of the joint that moves the tool most.
-SINK, RISE = 0.001, 0.005
+SINK, RISE = 0.0003, 0.005
 #: Bounds of the estimated load at the tool [kg], and time constant of this estimate [s].
 LEAST_LOAD, LARGEST_LOAD, LOAD_TIME = 0.1, 0.5, 0.02
 #: Lower bound of the norm of the joint torques that carry 1 kg at the tool, in the estimate of the
@@ -90,6 +87,8 @@ RETURNED, MAX_TIME, RETURN_TIME = 1.5e-4, 5.0, 1.0
 #: Time without a position of a joint after which the arm is sent what holds it at rest, and after
 #: which the weight transfer ends with an error [s].
 STALE, MAX_SILENCE = 0.03, 0.5
+#: Assumed time constant with which the stiffness of the servos brakes joints meanwhile [s].
+BRAKE_TIME = 0.03
 
 
 def transfer_weight(
@@ -247,6 +246,10 @@ class _WeightTransfer:
         lead = np.where(np.isfinite(self._found), self._found, torque / self._kp)
         limit = np.minimum(SUPPORT * np.abs(torque) + 2.0 * self._friction, self._usable)
         io.send(np.where(taken, io.goal, io.q + lead), np.where(taken, io.limit, limit))
+        # Otherwise the estimate would go on with the torques of the balance.
+        now = io.clock.now()
+        _, v = self._observer.predict(now)
+        self._observer.send(now, -self._observer.d - np.where(self._follows, v / BRAKE_TIME, 0.0))
 
     def _step(self) -> float:
         """Wait for the next period and read all joints; return the time since the last reading."""
@@ -324,12 +327,6 @@ class _WeightTransfer:
         u = self._inverse @ (torque - self._weight)
         self._observer.send(self._heard, np.where(self._follows, u, -self._observer.d))
 
-    def _full_lead(self, torque: Array) -> Array:
-        """Return the leads (n,) [rad] with which servos exert limits of |torque| (n,) [N·m]."""
-        size = LEAD_FACTOR * np.abs(torque) / self._kp + FIRST_LEAD
-        lead: Array = np.sign(torque) * np.minimum(size, LARGEST_LEAD)
-        return lead
-
     def _balance(self) -> Array:
         """Balance the joints by their torque limits until they stand; return their torques (n,)."""
         torque, passed, still = self._weight, 0.0, 0.0
@@ -337,7 +334,7 @@ class _WeightTransfer:
         # Below friction, so that it holds a joint in place without lifting it.
         spare = 0.5 * self._friction
         while passed < MIN_BALANCE or (still < STILL_TIME and passed < MAX_BALANCE):
-            goal = self._start + self._full_lead(torque)
+            goal = self._start + full_lead(torque, self._kp)
             self._apply(goal, torque, np.abs(torque) + spare)
             dt = self._step()
             passed += dt
@@ -361,7 +358,7 @@ class _WeightTransfer:
         enough = FOUND_FRICTION * self._friction + (1.0 + FOUND_SHARE) * np.abs(weight)
         enough = np.minimum(enough, USABLE_SHARE * usable)
         margin = torque_margin(servos, weight)
-        lead = np.where(taken, io.goal - start_q, self._full_lead(weight))
+        lead = np.where(taken, io.goal - start_q, full_lead(weight, kp))
         found = np.where(taken, lead, np.nan)
         # If the torque may have either sign, the stiffness at lead 0 holds the joint.
         light = ~taken & (np.abs(weight) < LIGHT * self._friction)

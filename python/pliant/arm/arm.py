@@ -5,6 +5,7 @@ from __future__ import annotations
 import atexit
 import contextlib
 import logging
+import math
 import os
 import sys
 from typing import TYPE_CHECKING, Literal
@@ -194,7 +195,7 @@ class Arm:
         on = np.broadcast_to(getattr(self.drive, "enabled", False), len(names))[io.joints.chain]
         check_within_limits(io, on)
         start_q = io.q
-        start, limit, carried = initial_commands(io, on)
+        start, limit, lead, carried = initial_commands(io, on)
         for name, gripper in self.grippers.items():
             io.orders[name] = (gripper.position, gripper.limit)
         MESSAGES.start()
@@ -209,7 +210,7 @@ class Arm:
             # Accesses to the drive do not restart this timeout until this method returns.
             self._supervisor.heartbeat[1] = ENABLE_TIME
             self._supervisor.owner = os.getpid()
-            io.start(start, limit)
+            io.start(start, limit, lead)
         except ServoError:
             self._release()
             raise
@@ -395,7 +396,7 @@ class Arm:
             self._exit_message = messages.left_enabled(stopped=True)
 
     def _hold(self) -> None:
-        """Send goals and torque limits that hold the present pose; ignore errors of the bus."""
+        """Send goals and torque limits that hold the present pose; ignore all errors."""
         with contextlib.suppress(Exception):
             hold_position(self._io)
 
@@ -590,9 +591,11 @@ class Arm:
     def supervised(self, patience: float) -> AbstractContextManager[Callable[[], None]]:
         """Return a context with a watchdog thread that lowers the arm if the program stalls.
 
-        The thread performs `on_exit` after `patience` [s] without a read or write. In simulated
-        time there is no such thread. The context yields a function that raises `ServoTimeoutError`
-        after the thread has performed `on_exit`. `Loop` uses this context.
+        The thread performs `on_exit` after `patience` [s] without a read or write. With
+        ``patience=math.inf`` the program may stall for any time: there is no such thread, and the
+        guardian detects no hang. In simulated time there is none either. The context yields a
+        function that raises `ServoTimeoutError` after the thread has performed `on_exit`. `Loop`
+        uses this context.
 
         Raises:
             ConfigError: `patience` is not a number above 0.
@@ -600,8 +603,8 @@ class Arm:
         seconds = real(patience, "patience")
         if not seconds > 0.0:
             raise ConfigError(f"patience must be above 0 s, got {patience!r}")
-        real_time = getattr(self.clock, "real_time", False)
-        return self._supervisor.supervised(seconds if real_time else None)
+        has_thread = getattr(self.clock, "real_time", False) and seconds < math.inf
+        return self._supervisor.supervised(seconds if has_thread else None)
 
     def ramp_limits(self) -> None:
         """Limit torque for 0.5 s by a ramp from holding torques to usable torques.
@@ -649,7 +652,8 @@ class Arm:
             self._io.send(self._io.goal, self._io.limit)
 
     def _check_enabled(self) -> None:
-        if self._supervisor.owner != os.getpid():
+        """Raise an error if torque is off; the caller has entered the supervisor's context."""
+        if self._supervisor.owner is None:
             raise ServoError("torque is off: use `with connect(...) as arm`, or arm.enable()")
 
 

@@ -73,7 +73,7 @@ class Gripper:
         order: Callable[[str, float, float], None],
         measure: Callable[[str], float],
     ) -> None:
-        """Take values that `config` does not set from the model; only `Arm` creates grippers.
+        """Store `config`, completed by limits of the model; only `Arm` creates grippers.
 
         Raises:
             ConfigError: Neither `config` nor the model gives the ends of the travel.
@@ -184,8 +184,8 @@ def make_grippers(
     joints, drive = io.joints, io.drive
     unknown = sorted(set(grippers) - set(joints.extra))
     if unknown:
-        there = ", ".join(joints.extra) or "none"
-        raise ConfigError(f"no joint {unknown[0]!r} off the chain; there are: {there}")
+        known = ", ".join(joints.extra) or "none"
+        raise ConfigError(f"no joint {unknown[0]!r} off the chain; there are: {known}")
     overload = np.broadcast_to(getattr(drive, "overload", 1.0), len(joints.names))
     return {
         name: Gripper(

@@ -12,7 +12,7 @@ from pliant._core import ThermalModel
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-#: Used share of a servo's thermal budget above which a fault is reported; 1: all is used.
+#: Used share of a servo's thermal budget above which a fault is reported [1]; at 1, all is used.
 TOO_HOT = 1.3
 
 
@@ -64,13 +64,13 @@ def thermal_faults(thermal: ThermalModel, names: tuple[str, ...]) -> list[str]:
         thermal: Thermal model of the N servos.
         names: Joint names (N,).
     """
-    found = []
+    faults = []
     for name, heat, degrees in zip(names, thermal.heat, thermal.temperature, strict=True):
         if heat > TOO_HOT:
-            found.append(
+            faults.append(
                 f"{name} has used {100 * heat:.0f} % of its thermal budget holding the arm up: "
                 "choose a pose that needs less torque there"
             )
         if degrees >= thermal.last_temperature:
-            found.append(f"{name} has {degrees:.0f} °C and switches off soon: let it cool")
-    return found
+            faults.append(f"{name} has {degrees:.0f} °C and switches off soon: let it cool")
+    return faults

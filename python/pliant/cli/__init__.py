@@ -96,7 +96,7 @@ def program(
 
 
 def _guarded(call: Callable[[], int]) -> int:
-    """Call a function and flush the output; return its exit code, or that of a closed pipe."""
+    """Call a function and flush the output; return its code, or `CLOSED_PIPE_EXIT`."""
     _prepare_streams()
     try:
         return call()
@@ -153,8 +153,8 @@ def _call(
             _describe_missing_file(error) if isinstance(error, FileNotFoundError) else str(error)
         )
     except (PliantError, ImportError) as error:
-        explained = _print_error(str(error))
-        return explained if (code := _signal_exit_code(error)) is None else code
+        error_code = _print_error(str(error))
+        return error_code if (code := _signal_exit_code(error)) is None else code
     except SystemExit as stop:
         return stop.code if isinstance(stop.code, int) else ERROR_EXIT
     except KeyboardInterrupt:
@@ -227,7 +227,7 @@ def _signal_exit_code(error: BaseException) -> int | None:
 def _prepare_streams() -> None:
     """Open closed standard streams on the null device; let output replace unknown characters.
 
-    Without a stream, its descriptor would be that of the next file which the command opens.
+    Otherwise the next file that the command opens would get the descriptor of a closed stream.
     """
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:

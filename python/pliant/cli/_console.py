@@ -25,7 +25,7 @@ def print_line(text: str, console: Console | None = None) -> None:
 
 
 def print_summary(arm: Arm, loop: Loop, notes: Sequence[str] = ()) -> None:
-    """Print notes, and the counters of a loop and of its arm that are not 0."""
+    """Print notes, then number, lateness and misses of ticks, and bus counters that are not 0."""
     for note in notes:
         print_line(note)
     counts = ", ".join(f"{name} {count}" for name, count in arm.counters.items() if count)

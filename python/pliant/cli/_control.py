@@ -27,7 +27,7 @@ def load(
     log: Path | None,
     source: str | None = None,
 ) -> tuple[Config, Settings]:
-    """Return configuration and settings of an arm, with `--soft`; check `--duration` and `--log`.
+    """Return an arm's configuration, and its settings with `--soft`; check duration and log.
 
     The log must not overwrite the configuration, its files or `source`.
     """

@@ -70,9 +70,9 @@ class FileFlags:
     def inputs(self, arm: str, arm_config: config.Config) -> list[Path]:
         """Return the input files of a configuration, which a command must not overwrite."""
         named = [arm_config.robot.urdf, arm_config.calibration]
-        own = [arm_config.folder / path.expanduser() for path in named if path is not None]
+        files = [arm_config.folder / path.expanduser() for path in named if path is not None]
         flags = [path for path in (self.urdf, self.calibration) if path is not None]
-        return [Path(arm).expanduser(), *own, *flags]
+        return [Path(arm).expanduser(), *files, *flags]
 
     def as_arguments(self) -> list[str]:
         """Return the flags that are set, with their values, as command-line words for a shell."""

@@ -61,11 +61,11 @@ class Measurements:
             try:
                 self.data = json.loads(read_text(path))
                 self.steps = self.data["steps"]
-                is_good = self.data["format"] == FORMAT
+                is_valid = self.data["format"] == FORMAT
                 _identity(self.data), self.table()
             except (ValueError, LookupError, TypeError, AttributeError, RecursionError):
-                is_good = False
-            if not is_good:
+                is_valid = False
+            if not is_valid:
                 raise ConfigError(
                     f"{path} cannot be continued: its format is not {FORMAT!r}; name another file"
                 )
@@ -100,21 +100,21 @@ class Measurements:
         rows = {spec.name: spec.row for spec in chain.specs}
         servos = [
             {
-                "joint": one.joint,
-                "id": one.id,
-                "model": one.model,
-                "model_number": rows[one.joint].model_number,
-                "firmware": one.firmware,
-                "gain": chain.gains[one.joint],
-                "voltage": one.voltage,
-                "temperature": one.temperature,
-                "return_delay": one.return_delay,
-                "max_torque_assumed": torque[one.joint],
+                "joint": info.joint,
+                "id": info.id,
+                "model": info.model,
+                "model_number": rows[info.joint].model_number,
+                "firmware": info.firmware,
+                "gain": chain.gains[info.joint],
+                "voltage": info.voltage,
+                "temperature": info.temperature,
+                "return_delay": info.return_delay,
+                "max_torque_assumed": torque[info.joint],
             }
-            for one in chain.found
+            for info in chain.found
         ]
         packages = {name: version(name) for name in ("pliant", "numpy", "rustypot")}
-        head = {
+        header = {
             "format": FORMAT,
             "units": UNITS,
             "date": time.strftime("%Y-%m-%d", time.gmtime()),
@@ -133,11 +133,11 @@ class Measurements:
             },
             "servos": servos,
         }
-        if self.steps and _identity(self.data) != _identity(head):
+        if self.steps and _identity(self.data) != _identity(header):
             raise ConfigError(
                 f"{self.path} is of other servos than those of this arm: name another file"
             )
-        self.data = _plain(head) | {"steps": self.steps}
+        self.data = _plain(header) | {"steps": self.steps}
         times, lost = time_readings(chain)
         bus = {
             "read_median": np.median(times),
@@ -150,24 +150,29 @@ class Measurements:
         }
         self.add("bus", bus)
 
-    def add_servos(self, found: identify.Identification) -> None:
+    def add_servos(self, identification: identify.Identification) -> None:
         """Store identified servo parameters."""
-        columns = {"friction": found.friction, **{key: getattr(found.servos, key) for key in KEYS}}
-        assumed = {f"{key}_assumed": getattr(found.assumed, key) for key in ("kp", "friction")}
-        errors = {f"{key}_sigma": found.errors[key] for key in ("kp", "friction")}
+        columns = {
+            "friction": identification.friction,
+            **{key: getattr(identification.servos, key) for key in KEYS},
+        }
+        assumed = {
+            f"{key}_assumed": getattr(identification.assumed, key) for key in ("kp", "friction")
+        }
+        sigmas = {f"{key}_sigma": identification.sigma[key] for key in ("kp", "friction")}
         values = {
-            "joints": per_joint(found.joint_names, columns | assumed | errors),
-            "delay": found.delay,
-            "delay_sigma": found.delay_sigma,
-            "extra_mass": found.payload.mass,
-            "extra_mass_sigma": found.payload.mass_sigma,
-            "spread": found.spread,
-            "undriven": found.undriven,
+            "joints": per_joint(identification.joint_names, columns | assumed | sigmas),
+            "delay": identification.delay,
+            "delay_sigma": identification.delay_sigma,
+            "extra_mass": identification.payload.mass,
+            "extra_mass_sigma": identification.payload.mass_sigma,
+            "spread": identification.residual_ratio,
+            "undriven": identification.undriven,
         }
         self.add("servos", values)
 
     def table(self) -> Table:
-        """Return a table of assumed, promised and measured values, for people."""
+        """Return a table of assumed, predicted and measured values, to be printed."""
         out = Table("", "assumed", "measured", "ratio", box=SIMPLE_HEAD, pad_edge=False)
         for step, how in (("servos", ""), ("weight", " by weight")):
             for joint in self.steps.get(step, {}).get("joints", ()):

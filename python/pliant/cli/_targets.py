@@ -59,7 +59,7 @@ class Target:
         except RecursionError:
             raise ConfigError(f"target {_short(line)} is nested too deeply") from None
         except ValueError as error:  # also an integer of more digits than Python reads
-            raise ConfigError(f"target {_short(line)} is no JSON: {error}") from error
+            raise ConfigError(f"target {_short(line)} is not JSON: {error}") from error
         if not isinstance(data, dict) or not data or set(data) - set(KEYS):
             raise ConfigError(f"a target is an object of {', '.join(KEYS)}; got {_short(line)}")
         numbers = {key: _numbers(key, value, line) for key, value in data.items()}
@@ -125,8 +125,10 @@ def _short(text: str) -> str:
 
 #: Maximum size of one target, a line or a datagram [bytes].
 MAX_LINE = 4096
-#: Maximum number of bytes per read of a pipe, and pause after each read [s].
-READ_SIZE, READ_PAUSE = 65536, 0.001
+#: Maximum number of bytes per read of a pipe.
+READ_SIZE = 65536
+#: Pause after each read of a pipe [s].
+READ_PAUSE = 0.001
 #: Maximum number of datagrams read per control cycle.
 MAX_DATAGRAMS = 256
 
@@ -196,8 +198,8 @@ class FileTargets(NoTargets):
         return self._targets[self._next - 1]
 
 
-class RejectedTargets:
-    """Parses targets; prints at most one error on invalid targets per period of `Refusals`."""
+class TargetParser:
+    """Parses targets; prints errors about invalid ones at the limited rate of `Refusals`."""
 
     def __init__(self) -> None:
         self._refusals = Refusals("target")
@@ -213,7 +215,7 @@ class RejectedTargets:
             return None
 
     def close(self) -> None:
-        """Print the number of invalid targets that the limited rate kept from being reported."""
+        """Print the number of invalid targets whose errors the rate limit has suppressed."""
         self._refusals.close()
 
 
@@ -228,7 +230,7 @@ class StreamTargets(NoTargets):
 
     def __init__(self, pipe: int, model: Model) -> None:
         self._model = model
-        self._rejected = RejectedTargets()
+        self._parser = TargetParser()
         self._newest: deque[bytes] = deque(maxlen=1)
         self._ended = False
         threading.Thread(
@@ -254,11 +256,11 @@ class StreamTargets(NoTargets):
 
     def latest(self) -> Target | None:
         """Return the newest target; None if it is invalid or there is no new one."""
-        self.done = self._ended  # before the queue, so that the last line is not lost
-        return self._rejected.parse(self._newest.pop(), self._model) if self._newest else None
+        self.done = self._ended  # read before the queue, so that the last line is not lost
+        return self._parser.parse(self._newest.pop(), self._model) if self._newest else None
 
     def __exit__(self, *_: object) -> None:
-        self._rejected.close()
+        self._parser.close()
 
 
 class UdpTargets(NoTargets):
@@ -266,7 +268,7 @@ class UdpTargets(NoTargets):
 
     def __init__(self, port: int, model: Model) -> None:
         self._model = model
-        self._rejected = RejectedTargets()
+        self._parser = TargetParser()
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         try:
@@ -281,11 +283,11 @@ class UdpTargets(NoTargets):
         with suppress(BlockingIOError):
             for _ in range(MAX_DATAGRAMS):
                 newest = self._socket.recv(MAX_LINE + 1)
-        return self._rejected.parse(newest, self._model) if newest.strip() else None
+        return self._parser.parse(newest, self._model) if newest.strip() else None
 
     def __exit__(self, *_: object) -> None:
         self._socket.close()
-        self._rejected.close()
+        self._parser.close()
 
 
 def open_targets(source: str, model: Model) -> Targets:

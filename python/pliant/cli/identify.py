@@ -74,7 +74,7 @@ def run(
             with connected as live:
                 results.append(_measure(procedure, live, arm_config, options, file))
     finally:
-        # Only after the arm is lowered: a blocked terminal or disk must not delay the descent.
+        # Write only once the arm is lowered: a blocked terminal or disk must not delay that.
         if file is not None and "servos" in file.steps:
             file.save()
         for line in (line for lines in results for line in lines):
@@ -88,50 +88,62 @@ def _measure(
     options: dict[str, Any],
     file: Measurements | None,
 ) -> list[str]:
-    """Run a procedure; return the printed lines: its results and lines for the configuration."""
+    """Run a procedure; return its results and lines for the configuration file, to be printed."""
     if procedure == "servos":
-        found = identify.identify_servos(arm, arm.model, arm.servos, **options)
+        identification = identify.identify_servos(arm, arm.model, arm.servos, **options)
         if file is not None:
-            file.add_servos(found)
-        return [*found.summary(), *_servo_lines(arm_config, found), *_payload_lines(found.payload)]
+            file.add_servos(identification)
+        return [
+            *identification.summary(),
+            *_servo_lines(arm_config, identification),
+            *_payload_lines(identification.payload),
+        ]
     controller = Controller(arm.model, arm_config.settings(), arm.servos)
     if procedure == "payload":
         estimate = identify.estimate_payload(arm, controller, **options)
         return [*estimate.summary(), *_payload_lines(estimate)]
-    captured = identify.capture_gravity(arm, controller)
-    return [*captured.summary(), *_gravity_lines(captured)]
+    capture = identify.capture_gravity(arm, controller)
+    return [*capture.summary(), *_gravity_lines(capture)]
 
 
-def _servo_lines(arm_config: Config, found: identify.Identification) -> list[str]:
-    """Return TOML lines for the table [servo]: measured stiffness, friction and damping."""
+def _servo_lines(arm_config: Config, identification: identify.Identification) -> list[str]:
+    """Return TOML lines for the table [servo]: measured stiffness, friction and damping.
+
+    A joint whose stiffness is not identified keeps its line in the file, with or without `kp`.
+    """
     if not arm_config.servo:
         return ["", "# the file has no table [servo]: the built-in servos cannot be changed"]
+    known = identification.stiffness_known
     lines = ["", "# in place of the lines of these joints:", "[servo]"]
-    for i, joint in enumerate(found.joint_names):
+    for i, joint in enumerate(identification.joint_names):
         entry = arm_config.servo[joint].model_dump(exclude_unset=True)
-        entry["kp"] = float(found.servos.kp[i])
-        entry["friction"] = float(found.friction[i])
-        entry["damping"] = float(found.servos.damping[i])
+        if known[i]:
+            entry["kp"] = float(identification.servos.kp[i])
+        entry["friction"] = float(identification.friction[i])
+        entry["damping"] = float(identification.servos.damping[i])
         lines.append(f"{joint} = {_toml(entry)}")
+    if not known.all():
+        unknown = [name for i, name in enumerate(identification.joint_names) if not known[i]]
+        lines.append(f"# kp of {', '.join(unknown)} is not known within 10 %: no line has it")
     return lines
 
 
-def _payload_lines(found: identify.PayloadEstimate) -> list[str]:
+def _payload_lines(estimate: identify.PayloadEstimate) -> list[str]:
     """Return the TOML line with the payload for [robot], or a comment if no payload was found."""
-    if not found.found:
+    if not estimate.found:
         return ["", "# no payload for the file"]
-    payload = found.payload
+    payload = estimate.payload
     table = {"mass": float(payload.mass), "com": [float(value) for value in payload.com]}
     return ["", "# in the table [robot]:", f"payload = {_toml(table)}"]
 
 
-def _gravity_lines(found: identify.GravityCapture) -> list[str]:
+def _gravity_lines(capture: identify.GravityCapture) -> list[str]:
     """Return TOML lines for [settings.compensation] that keep the arm still, or a comment."""
-    if found.stays:
+    if capture.stays:
         return ["", "# nothing to change in the file: the arm stays with its settings"]
-    if found.remedy is None:
+    if capture.remedy is None:
         return ["", "# no settings for the file: identify the servos or the payload"]
-    compensation = found.remedy.compensation
+    compensation = capture.remedy.compensation
     return [
         "",
         "[settings.compensation]",

@@ -13,7 +13,7 @@ from pliant.ros.links import LISTEN, ros_link
 
 #: zenoh address.
 Endpoint = Annotated[str, tyro.conf.arg(metavar="tcp/HOST:PORT")]
-#: ROS domain id; None: that of the environment variable.
+#: ROS domain id; None: the value of the environment variable ROS_DOMAIN_ID.
 Domain = Annotated[int | None, tyro.conf.arg(metavar="ID")]
 
 

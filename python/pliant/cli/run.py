@@ -28,9 +28,10 @@ if TYPE_CHECKING:
 TABLE_RATE = 5.0
 #: Without --duration, the command ends this long after the last target [s].
 HOLD_TIME = 2.0
-#: A target is reported as missed if the tool ends farther than `TARGET_TOLERANCE` from it [m]. A
-#: joint counts as at its limit within `LIMIT_MARGIN` of a position limit [rad].
-TARGET_TOLERANCE, LIMIT_MARGIN = 0.02, 0.05
+#: Distance of the tool from the last target above which the target is reported as missed [m].
+TARGET_TOLERANCE = 0.02
+#: Distance from a position limit below which a joint counts as at its limit [rad].
+LIMIT_MARGIN = 0.05
 
 
 def run(
@@ -117,8 +118,8 @@ def _describe_target_error(model: Model, q: Array, target: Array) -> list[str]:
     margin = np.minimum(q - model.lower, model.upper - q)
     names = [
         name
-        for name, margin_left in zip(model.joint_names, margin, strict=True)
-        if margin_left < LIMIT_MARGIN
+        for name, distance_to_limit in zip(model.joint_names, margin, strict=True)
+        if distance_to_limit < LIMIT_MARGIN
     ]
     why = (
         f"; at their limits: {', '.join(names)}. The tool moves straight to its target and does "
@@ -145,10 +146,10 @@ def _table(
     for row in range(max(len(axes), arm.model.n)):
         cells = [""] * 9
         if row < len(axes):
-            place = AXES.index(axes[row])
-            unit = "mm" if place < 3 else "mrad"
+            index = AXES.index(axes[row])
+            unit = "mm" if index < 3 else "mrad"
             cells[0] = axes[row]
-            cells[1] = f"{tool[place, 3] * 1e3:.0f} mm" if place < 3 else ""
+            cells[1] = f"{tool[index, 3] * 1e3:.0f} mm" if index < 3 else ""
             cells[2] = f"{error[row] * 1e3:+.1f} {unit}"
             cells[3] = f"{softness[row]:.2f}"
         if row < arm.model.n:

@@ -28,18 +28,18 @@ def suggest(word: str, known: Iterable[str]) -> str:
 
 
 def _sentence(detail: ErrorDetails, schema: type[BaseModel]) -> str:
-    place = _path(detail["loc"])
+    key = _path(detail["loc"])
     kind = detail["type"]
     if kind == "extra_forbidden":
         word = str(detail["loc"][-1])
-        return f"{place} is not a key here; {suggest(word, keys(schema, detail['loc'][:-1]))}"
+        return f"{key} is not a key here; {suggest(word, keys(schema, detail['loc'][:-1]))}"
     if kind == "missing":
-        return f"{place} is missing"
+        return f"{key} is missing"
     message = detail["msg"].removeprefix("Value error, ")
     message = message[:1].lower() + message[1:]
     if kind in {"value_error", "assertion_error"}:
-        return f"{place}: {message}" if place else message
-    return f"{place} = {_short(detail['input'])}: {message}"
+        return f"{key}: {message}" if key else message
+    return f"{key} = {_short(detail['input'])}: {message}"
 
 
 def keys(schema: type[BaseModel], path: Sequence[int | str]) -> set[str]:
@@ -58,8 +58,8 @@ def keys(schema: type[BaseModel], path: Sequence[int | str]) -> set[str]:
 
 
 def _field(table: type[BaseModel], name: str) -> Any:
-    for own, field in table.model_fields.items():
-        if name in {own, field.alias}:
+    for key, field in table.model_fields.items():
+        if name in {key, field.alias}:
             return field
     return None
 

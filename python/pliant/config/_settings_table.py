@@ -64,30 +64,30 @@ def resolve(
         rate: Loop rate [Hz], used if the fields contain no rate.
 
     Returns:
-        The settings, None if there are errors; and a list with one sentence per error.
+        The settings (None if there are errors), and one sentence per error.
     """
-    left, wrong = dict(fields), list[str]()
-    if "axes" in left:
-        left["axes"] = _axes(left["axes"], wrong)
-    if isinstance(left.get("task"), dict):
+    remaining, errors = dict(fields), list[str]()
+    if "axes" in remaining:
+        remaining["axes"] = _axes(remaining["axes"], errors)
+    if isinstance(remaining.get("task"), dict):
         try:
-            left["task"] = Task(**left["task"])
+            remaining["task"] = Task(**remaining["task"])
         except (PliantError, TypeError) as error:
-            wrong.append(f"task.{str(error).removeprefix('task.')}")
-            del left["task"]
-    for name in GROUPS.keys() & left.keys():
-        group = _group(name, left.pop(name), wrong)
+            errors.append(f"task.{str(error).removeprefix('task.')}")
+            del remaining["task"]
+    for name in GROUPS.keys() & remaining.keys():
+        group = _group(name, remaining.pop(name), errors)
         if group is not None:
-            left[name] = group
+            remaining[name] = group
     while True:
         try:
-            made = _make(left, preset, rate)
+            settings = _make(remaining, preset, rate)
         except (PliantError, TypeError) as error:
-            wrong.append(str(error))
-            if not _leave_out(left, str(error)):
-                return None, wrong
+            errors.append(str(error))
+            if not _remove_field(remaining, str(error)):
+                return None, errors
         else:
-            return (None if wrong else made), wrong
+            return (None if errors else settings), errors
 
 
 def _make(fields: dict[str, Any], preset: str | dict[str, Any] | None, rate: float) -> Settings:
@@ -103,8 +103,8 @@ def _make(fields: dict[str, Any], preset: str | dict[str, Any] | None, rate: flo
         if "axes" not in arguments:
             raise ConfigError('preset "soft" needs its axes: { name = "soft", axes = "y yaw" }')
         return Settings.soft(arguments.pop("axes"), **arguments, **values)
-    made: Settings = getattr(Settings, name)(**arguments, **values)
-    return made
+    settings: Settings = getattr(Settings, name)(**arguments, **values)
+    return settings
 
 
 def _preset(preset: str | dict[str, Any] | None) -> tuple[Any, dict[str, Any]]:
@@ -115,73 +115,73 @@ def _preset(preset: str | dict[str, Any] | None) -> tuple[Any, dict[str, Any]]:
     return preset, {}
 
 
-def _axes(table: Any, wrong: list[str]) -> dict[str, Axis]:
-    """Return the valid entries of the table `axes`; append errors of the others to `wrong`."""
+def _axes(table: Any, errors: list[str]) -> dict[str, Axis]:
+    """Return the valid entries of the table `axes`; append errors of the others to `errors`."""
     if not isinstance(table, dict):
-        wrong.append(f"axes is a table of axis keys, got {table!r}")
+        errors.append(f"axes is a table of axis keys, got {table!r}")
         return {}
-    return {key: axis for key, value in table.items() if (axis := _axis(key, value, wrong))}
+    return {key: axis for key, value in table.items() if (axis := _axis(key, value, errors))}
 
 
-def _axis(key: str, value: Any, wrong: list[str]) -> Axis | None:
+def _axis(key: str, value: Any, errors: list[str]) -> Axis | None:
     """Return one entry of the table `axes`.
 
-    If it is invalid, append its errors to `wrong` and return None.
+    If it is invalid, append its errors to `errors` and return None.
     """
     if not isinstance(value, dict):
-        wrong.append(f"axes.{key} is a table such as {{ soft = 4.0 }}, got {value!r}")
+        errors.append(f"axes.{key} is a table such as {{ soft = 4.0 }}, got {value!r}")
         return None
-    left = {k: tuple(v) if isinstance(v, list) else v for k, v in value.items()}
+    remaining = {k: tuple(v) if isinstance(v, list) else v for k, v in value.items()}
     # Errors of `Axis` do not name the axis: prefix them with the key of the axis.
-    return _build(Axis, left, "Axis.", f"axes.{key}: ", wrong)
+    return _build(Axis, remaining, "Axis.", f"axes.{key}: ", errors)
 
 
-def _group(name: str, table: Any, wrong: list[str]) -> Any:
+def _group(name: str, table: Any, errors: list[str]) -> Any:
     """Return a group of settings, such as `Tracking`, from its table in the file.
 
-    If the table is invalid, append its errors to `wrong` and return None.
+    If the table is invalid, append its errors to `errors` and return None.
     """
     if not isinstance(table, dict):
-        wrong.append(f"{name} is a table such as [settings.{name}], got {table!r}")
+        errors.append(f"{name} is a table such as [settings.{name}], got {table!r}")
         return None
-    return _build(GROUPS[name], dict(table), f"{name}.", f"{name}.", wrong)
+    return _build(GROUPS[name], dict(table), f"{name}.", f"{name}.", errors)
 
 
 def _build(
-    make: Callable[..., T], left: dict[str, Any], own: str, place: str, wrong: list[str]
+    make: Callable[..., T], remaining: dict[str, Any], prefix: str, key: str, errors: list[str]
 ) -> T | None:
     """Return an object constructed from fields; None if a field is invalid.
 
     Args:
         make: Constructor of the object.
-        left: The fields; invalid ones are removed.
-        own: Prefix of the constructor's error messages, replaced by `place`.
-        place: Key of the object in the file, as prefix of the errors.
-        wrong: List to which all errors are appended.
+        remaining: The fields; invalid ones are removed.
+        prefix: Prefix of the constructor's error messages, replaced by `key`.
+        key: Key of the object in the file, as prefix of the errors.
+        errors: List to which all errors are appended.
     """
-    good = True
+    is_valid = True
     while True:
         try:
-            made = make(**left)
+            result = make(**remaining)
         except (PliantError, TypeError) as error:
-            message = str(error).removeprefix(own)
-            wrong.append(f"{place}{message}")
-            good = False
-            if not _leave_out(left, message):
+            message = str(error).removeprefix(prefix)
+            errors.append(f"{key}{message}")
+            is_valid = False
+            if not _remove_field(remaining, message):
                 return None
         else:
-            return made if good else None
+            return result if is_valid else None
 
 
-def _leave_out(left: dict[str, Any], message: str) -> bool:
-    """Remove the field that an error names from `left`; return True if the rest can be checked."""
+def _remove_field(remaining: dict[str, Any], message: str) -> bool:
+    """Remove the field that an error names; return True if the rest can be checked."""
     name, _, rest = message.partition(".")
-    axes = left.get("axes")
+    axes = remaining.get("axes")
     if name == "axes" and axes:
         key = re.split(r"[:.]", rest)[0]
         # A key for several axes differs from the single axis in the error: then remove all axes.
-        left["axes"] = {k: v for k, v in axes.items() if k != key} if key in axes else {}
+        remaining["axes"] = {k: v for k, v in axes.items() if k != key} if key in axes else {}
         return True
-    found = re.match(r"\w+", message)
-    name = found[0] if found else ""
-    return name not in FIRST and left.pop(name, None) is not None
+    match = re.match(r"\w+", message)
+    name = match[0] if match else ""
+    return name not in FIRST and remaining.pop(name, None) is not None

@@ -21,17 +21,17 @@ def apply_soft(
         option: Name of the option in errors, such as "--soft".
 
     Raises:
-        ConfigError: A word is invalid, is no axis of the task, or repeats an axis; or a cap is
+        ConfigError: A word is invalid, is not an axis of the task, or repeats an axis; or a cap is
             above the arm's holding force.
     """
     if not soft:
         return settings
     task = settings.task
     axes: dict[str, Axis] = {} if holds else dict(settings.axes.items())
-    found = _parse_caps(soft, task, option)
+    caps = _parse_caps(soft, task, option)
     strongest: dict[str, Axis] = dict(Controller(model, Settings.firm(task=task)).axes.items())
-    preset: dict[str, Axis] = dict(Settings.soft(" ".join(found), task=task).axes.items())
-    for name, cap in found.items():
+    preset: dict[str, Axis] = dict(Settings.soft(" ".join(caps), task=task).axes.items())
+    for name, cap in caps.items():
         hold = strongest[name].hold
         if cap is not None and hold is not None and cap > hold:
             unit = "N" if name in "xyz" else "N·m"
@@ -50,9 +50,9 @@ def _parse_caps(soft: str, task: Task, option: str) -> dict[str, float | None]:
     """Return the cap [N, N·m] of each axis in words "y" or "y=2"; None for an axis without a cap.
 
     Raises:
-        ConfigError: A word is invalid, is no axis of the task, or repeats an axis.
+        ConfigError: A word is invalid, is not an axis of the task, or repeats an axis.
     """
-    found: dict[str, float | None] = {}
+    caps: dict[str, float | None] = {}
     for word in soft.replace(",", " ").split():
         name, has_cap, number = word.partition("=")
         check_axes(name, task, option, "task in [settings] of a file of your own")
@@ -65,10 +65,10 @@ def _parse_caps(soft: str, task: Task, option: str) -> dict[str, float | None]:
         if cap is not None and not 0.0 <= cap < math.inf:
             raise ConfigError(f"{option} {word}: a cap is a number from 0 up, got {cap:g}")
         for axis in Task(axes=name).names:
-            if axis in found:
+            if axis in caps:
                 raise ConfigError(f"{option} {soft!r} names {axis} twice: one cap an axis")
-            found[axis] = cap
-    return found
+            caps[axis] = cap
+    return caps
 
 
 def check_axes(axes: str, task: Task, option: str, remedy: str) -> None:
@@ -86,6 +86,6 @@ def check_axes(axes: str, task: Task, option: str, remedy: str) -> None:
         raise ConfigError(f"{option} {axes!r}: {message}") from None
     if unknown:
         raise ConfigError(
-            f"{option} {axes!r}: {', '.join(unknown)} is no axis of the task, which has "
+            f"{option} {axes!r}: {', '.join(unknown)} is not an axis of the task, which has "
             f"{', '.join(task.names)}; {remedy}"
         )

@@ -31,8 +31,10 @@ if TYPE_CHECKING:
 Level = Literal["good", "note", "bad"]
 #: Largest acceptable latency timer of an FTDI adapter [s].
 MAX_LATENCY_TIMER = 0.0015
-#: Number of timed readings of all joints, and duration of the test of the loop's clock [s].
-CYCLES, CLOCK_TEST_TIME = 200, 1.0
+#: Number of timed readings of all joints.
+CYCLES = 200
+#: Duration of the test of the loop's clock [s].
+CLOCK_TEST_TIME = 1.0
 #: Largest acceptable 99.9th percentile of the lateness of control cycles, as a share of the control
 #: period [1].
 MAX_LATENESS = 0.2
@@ -145,15 +147,15 @@ def _controllable(config: Config, model: Model) -> Iterator[Diagnosis]:
 
 def _clock(rate: float) -> Diagnosis:
     """Measure how late this machine wakes up from waits for periodic deadlines at `rate` [Hz]."""
-    clock, late, period = MonotonicClock(), LatenessHistogram(), 1.0 / rate
+    clock, lateness, period = MonotonicClock(), LatenessHistogram(), 1.0 / rate
     deadline = clock.now()
     end = deadline + CLOCK_TEST_TIME
     while deadline < end:
         deadline += period
         clock.wait_until(deadline)
-        late.add(clock.now() - deadline)
-    worst, often = late.percentile(99.9), late.percentile(50.0)
-    text = f"wakes {often * 1e6:.0f} µs late, at most {worst * 1e3:.2f} ms, at {rate:g} Hz"
+        lateness.add(clock.now() - deadline)
+    worst, median = lateness.percentile(99.9), lateness.percentile(50.0)
+    text = f"wakes {median * 1e6:.0f} µs late, at most {worst * 1e3:.2f} ms, at {rate:g} Hz"
     if worst > MAX_LATENESS * period:
         return Diagnosis(
             "note", "loop", f"{text}: other programs use the CPU; close them, or lower [loop] rate"
@@ -177,21 +179,21 @@ def _ports(chain: ServoBus) -> Iterator[Diagnosis]:
             )
 
 
-def _servos(found: tuple[ServoInfo, ...]) -> Iterator[Diagnosis]:
+def _servos(infos: tuple[ServoInfo, ...]) -> Iterator[Diagnosis]:
     """Report the servos that replied, their notes, and differences of firmware within a model."""
-    volts = [f.voltage for f in found]
+    volts = [f.voltage for f in infos]
     yield Diagnosis(
         "good",
         "servos",
-        f"{len(found)} answer: {', '.join(sorted({f.model for f in found}))}, "
+        f"{len(infos)} answer: {', '.join(sorted({f.model for f in infos}))}, "
         f"{min(volts):.1f} to {max(volts):.1f} V",
     )
     firmware: dict[str, set[int]] = {}
     notes: dict[str, dict[str, None]] = {}
-    for one in found:
-        firmware.setdefault(one.model, set()).add(one.firmware)
-        for note in one.notes:
-            notes.setdefault(note, {})[one.joint] = None
+    for info in infos:
+        firmware.setdefault(info.model, set()).add(info.firmware)
+        for note in info.notes:
+            notes.setdefault(note, {})[info.joint] = None
     for note, joints in notes.items():
         yield Diagnosis("note", ", ".join(joints), note)
     for model, versions in firmware.items():
@@ -204,14 +206,14 @@ def _servos(found: tuple[ServoInfo, ...]) -> Iterator[Diagnosis]:
 
 def _gains(chain: ServoBus, config: Config) -> Iterator[Diagnosis]:
     """Report servos whose P gain register differs from `gain` in the configuration file."""
-    read = chain.gains
+    gains = chain.gains
     for joint, servo in servos(config).items():
-        if servo.gain is not None and read[joint] != servo.gain:
+        if servo.gain is not None and gains[joint] != servo.gain:
             yield Diagnosis(
                 "note",
                 joint,
-                f"its P gain is {read[joint]}, the file says {servo.gain}: the arm follows the "
-                f"servo; with `gain = {read[joint]}` in [servo] the simulator does too",
+                f"its P gain is {gains[joint]}, the file says {servo.gain}: the arm follows the "
+                f"servo; with `gain = {gains[joint]}` in [servo] the simulator does too",
             )
 
 
@@ -229,12 +231,12 @@ def _sense(chain: ServoBus, model: Model) -> Iterator[Diagnosis]:
 
 def time_readings(chain: ServoBus) -> tuple[Array, int]:
     """Read all joints `CYCLES` times; return the durations [s] and the number of lost replies."""
-    times, before = np.zeros(CYCLES), chain.counters["timeouts"]
+    times, timeouts_before = np.zeros(CYCLES), chain.counters["timeouts"]
     for i in range(CYCLES):
         begin = time.perf_counter()
         chain.read()
         times[i] = time.perf_counter() - begin
-    return times, chain.counters["timeouts"] - before
+    return times, chain.counters["timeouts"] - timeouts_before
 
 
 def wire_read_time(chain: ServoBus, baudrate: int) -> float:

@@ -24,6 +24,7 @@ from pliant.config.schema import (
     zeros,
 )
 from pliant.servo import ServoBus, ServoSpec, get_model, serial_ports
+from pliant.servo.eeprom import OVERLOAD_BIT
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -184,7 +185,7 @@ def make_arm(config: Config, **options: Any) -> Arm:
     """
     if "table" in options:
         config = _on_table(config, options.pop("table"))
-    beside = _backend_options(config, options)
+    backend_options = _backend_options(config, options)
     model = config.model()
     _check_rest(config, model)
     values = {
@@ -197,26 +198,26 @@ def make_arm(config: Config, **options: Any) -> Arm:
         # Backend "sim" does not simulate servo currents, so the supply current has no limit.
         "power_budget": Budget(supply=None if config.backend == "sim" else config.supply.current),
         "grippers": gripper_configs(config),
-        **{key: value for key, value in options.items() if key not in beside},
+        **{key: value for key, value in options.items() if key not in backend_options},
     }
     if config.backend == "sim":
-        beside.setdefault("rate", values["rate"])
-    made = make_drive(config, model, **beside)
+        backend_options.setdefault("rate", values["rate"])
+    drive = make_drive(config, model, **backend_options)
     if config.backend == "sim" and "grippers" not in options:
-        values["grippers"] = _fixed(model, made) | values["grippers"]
-    return Arm(model, made, **values)
+        values["grippers"] = _fixed(model, drive) | values["grippers"]
+    return Arm(model, drive, **values)
 
 
-def _fixed(model: Model, made: Drive) -> dict[str, GripperConfig]:
-    """Return grippers, by joint name, that hold joints without position limits in place.
+def _fixed(model: Model, drive: Drive) -> dict[str, GripperConfig]:
+    """Return gripper configurations, by name, that hold joints without limits in place.
 
     Joints of the controlled chain are left out.
     """
     known = {joint.name for joint in model.joints if _has_ends(joint.lower, joint.upper)}
-    places = zip(made.names, made.read().position.tolist(), strict=True)
+    positions = zip(drive.names, drive.read().position.tolist(), strict=True)
     return {
-        name: GripperConfig(opened=place, closed=place)
-        for name, place in places
+        name: GripperConfig(opened=position, closed=position)
+        for name, position in positions
         if name not in known and name not in model.joint_names
     }
 
@@ -229,8 +230,8 @@ def _on_table(config: Config, height: float | bool | None) -> Config:
     """Return a copy of the configuration with another table height [m]; False, None: no table."""
     if height is True:
         raise ConfigError("table is a height [m], or False for none; got True")
-    there = None if height is None or height is False else real(height, "table [m]")
-    robot = config.robot.model_copy(update={"table": there})
+    table = None if height is None or height is False else real(height, "table [m]")
+    robot = config.robot.model_copy(update={"table": table})
     return config.model_copy(update={"robot": robot})
 
 
@@ -292,11 +293,11 @@ def make_simulated(
         }
     options |= plant
     options["scene"] = [*table_fixtures(config), *options.get("scene", ())]
-    made = Plant(model, **options)
-    made.reset(start_pose(config, model) if q is None else vector(model, q, "q"))
-    check_above_table(made)
+    simulated = Plant(model, **options)
+    simulated.reset(start_pose(config, model) if q is None else vector(model, q, "q"))
+    check_above_table(simulated)
     # The controller gets the file's servo parameters, even if options change the simulated servos.
-    return SimDrive(made, servos=model.servos if config.servo else None, real_time=real_time)
+    return SimDrive(simulated, servos=model.servos if config.servo else None, real_time=real_time)
 
 
 def table_fixtures(config: Config) -> list[Tabletop]:
@@ -343,14 +344,14 @@ def _bus_options(
 
 def servo_specs(config: Config, ports: dict[str, str]) -> list[ServoSpec]:
     """Return the `ServoSpec` of each joint; `ports` maps port names of the file to device paths."""
-    files, places = calibrations(config), zeros(config)
+    entries, counts = calibrations(config), zeros(config)
     return [
         spec(
             joint,
             servo,
             port=ports[servo.port],
-            zero=places[joint],
-            calibration=files.get(joint),
+            zero=counts[joint],
+            calibration=entries.get(joint),
         )
         for joint, servo in servos(config).items()
     ]
@@ -369,12 +370,12 @@ def port_paths(config: Config) -> dict[str, str]:
 
 
 def _single_port(name: str) -> str:
-    found = serial_ports()
-    if len(found) == 1:
-        return found[0]
-    if found:
+    ports = serial_ports()
+    if len(ports) == 1:
+        return ports[0]
+    if ports:
         raise ServoError(
-            f"port {name!r} is 'auto' and there are {len(found)}: {', '.join(found)}. "
+            f"port {name!r} is 'auto' and there are {len(ports)}: {', '.join(ports)}. "
             "Write the path into the file, or give --port"
         )
     raise ServoError(
@@ -391,8 +392,8 @@ def gripper_configs(config: Config) -> dict[str, GripperConfig]:
     opened, closed = gripper.opened, gripper.closed
     if gripper.joint in calibrations(config):
         closed, opened = gripper_travel(config)
-    jaw = GripperConfig(opened=opened, closed=closed, limit=gripper.limit, lever=gripper.lever)
-    return {gripper.joint: jaw}
+    limits = {"limit": gripper.limit, "lever": gripper.lever}
+    return {gripper.joint: GripperConfig(opened=opened, closed=closed, **limits)}
 
 
 def start_pose(config: Config, model: Model) -> Any:
@@ -429,8 +430,8 @@ class EmulatedBus(ServoBus):
         """Start the emulator with the arm at q (n,) [rad]; None: the pose of `start_pose`."""
         from pliant.emulator.process import EmulatorProcess
 
-        at = None if q is None else vector(model, q, "q").tolist()
-        self.emulator = EmulatorProcess(make_emulator, config, q=at)
+        start = None if q is None else vector(model, q, "q").tolist()
+        self.emulator = EmulatorProcess(make_emulator, config, q=start)
         super().__init__(**_bus_options(config, self.emulator.ports, REPLY_TIMEOUT_MIN))
 
     @property
@@ -460,8 +461,8 @@ def make_emulator(config: Config, *, q: ArrayLike | None = None, **options: Any)
     model = config.model()
     plant = dict(options.pop("plant", None) or {})
     plant["scene"] = [*table_fixtures(config), *plant.get("scene", ())]
-    at = start_pose(config, model) if q is None else q
-    bus = emulate(model, make_mounts(config), at, plant=plant, held=True, **options)
+    start = start_pose(config, model) if q is None else q
+    bus = emulate(model, make_mounts(config), start, plant=plant, held=True, **options)
     check_above_table(bus.plant)
     if config.supply.voltage is not None:
         bus.supply(config.supply.voltage)
@@ -472,10 +473,10 @@ def make_mounts(config: Config) -> list[Mount]:
     """Return the `Mount` (joint, id, sign, zero, gear ratio, ...) of each emulated servo."""
     from pliant.emulator import Mount
 
-    places, files = zeros(config), calibrations(config)
+    counts, entries = zeros(config), calibrations(config)
     out = []
     for joint, servo in servos(config).items():
-        zero = places[joint]
+        zero = counts[joint]
         out.append(
             Mount(
                 joint=joint,
@@ -488,7 +489,7 @@ def make_mounts(config: Config) -> list[Mount]:
                 if servo.secondary is None
                 else (servo.secondary.id, servo.secondary.sign),
                 port=servo.port,
-                registers=_as_set_up(servo) | _calibrated(files.get(joint), servo),
+                registers=_as_set_up(servo) | _calibrated(entries.get(joint), servo),
             )
         )
     return out
@@ -496,18 +497,24 @@ def make_mounts(config: Config) -> list[Mount]:
 
 def _as_set_up(servo: Servo) -> dict[str, int]:
     """Return initial EEPROM values by register, as after `pliant servos setup`, with the P gain."""
+    from pliant.emulator import models
+
     row = get_model(servo.model)
+    shutdown = {}
+    if row.family.status != "feetech":
+        factory_value = models.find(servo.model).table["shutdown"].initial
+        shutdown = {"shutdown": factory_value & ~(1 << OVERLOAD_BIT)}
     mode = {"operating_mode": 5} if row.limit_type == "current" else {}
     gain = {} if servo.gain is None else {"p_coefficient": servo.gain}
     number = {} if servo.model_number is None else {"model_number": servo.model_number}
-    return {"return_delay_time": 0, **mode, **gain, **number}
+    return {"return_delay_time": 0, **shutdown, **mode, **gain, **number}
 
 
-def _calibrated(file: Calibration | None, servo: Servo) -> dict[str, int]:
+def _calibrated(entry: Calibration | None, servo: Servo) -> dict[str, int]:
     """Return the EEPROM values that LeRobot's calibration writes, by register of the emulator."""
-    if file is None:
+    if entry is None:
         return {}
     family = get_model(servo.model).family
     names = REGISTERS_P1 if family.status == "p1" else REGISTERS
-    written = file.registers(family.registers)
+    written = entry.registers(family.registers)
     return {names.get(name, name): value for name, value in written.items()}

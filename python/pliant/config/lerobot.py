@@ -51,24 +51,24 @@ def read_calibration(path: str | Path) -> dict[str, Calibration]:
     except PermissionError as error:
         raise ConfigError(f"{file} must not be read: {error.strerror}") from error
     except RecursionError as error:
-        raise ConfigError(f"{file} is no calibration file: it is nested too deeply") from error
+        raise ConfigError(f"{file} is not a calibration file: it is nested too deeply") from error
     except OSError as error:
         raise ConfigError(f"{file} cannot be read: {error.strerror or error}") from error
     except ValueError as error:  # also an integer of more digits than Python reads
-        raise ConfigError(f"{file} is no calibration file: {error}") from error
+        raise ConfigError(f"{file} is not a calibration file: {error}") from error
     if not isinstance(data, dict) or not data:
-        raise ConfigError(f"{file} is no calibration file: it contains no table of motors")
+        raise ConfigError(f"{file} is not a calibration file: it contains no table of motors")
     if not any(isinstance(entry, dict) for entry in data.values()):
         raise ConfigError(
-            f"{file} is no calibration file: LeRobot's has a table of {', '.join(_FIELDS)} for "
-            f"each motor; here what is under {', '.join(list(data)[:SHOWN])} is no table"
+            f"{file} is not a calibration file: LeRobot's has a table of {', '.join(_FIELDS)} for "
+            f"each motor; here what is under {', '.join(list(data)[:SHOWN])} is not a table"
         )
     return {str(name): _motor(file, str(name), entry) for name, entry in data.items()}
 
 
 def _motor(file: Path, name: str, entry: object) -> Calibration:
     if not isinstance(entry, dict):
-        raise ConfigError(f"{file}: {name} is no table of {', '.join(_FIELDS)}: {entry!r}")
+        raise ConfigError(f"{file}: {name} is not a table of {', '.join(_FIELDS)}: {entry!r}")
     missing = [key for key in _FIELDS if key not in entry]
     if missing:
         raise ConfigError(f"{file}: {name} lacks {', '.join(missing)}")
@@ -77,9 +77,9 @@ def _motor(file: Path, name: str, entry: object) -> Calibration:
         raise ConfigError(
             f"{file}: {name}: {unknown[0]!r} is not known; {suggest(unknown[0], _FIELDS)}"
         )
-    wrong = {k: entry[k] for k in _FIELDS if type(entry[k]) is not int}
-    if wrong:
-        key, value = next(iter(wrong.items()))
+    invalid = {k: entry[k] for k in _FIELDS if type(entry[k]) is not int}
+    if invalid:
+        key, value = next(iter(invalid.items()))
         raise ConfigError(f"{file}: {name}.{key} is a whole number, got {value!r}")
     for key in _FIELDS:
         if abs(entry[key]) > LARGEST:
@@ -127,14 +127,16 @@ def find_calibration(
         ConfigError: There is no such file; the message names the folder and the ids found in it.
     """
     root = calibration_folder() / kind
-    known = _FOLDERS.get(arm) or dict.fromkeys(f for one in _FOLDERS.values() for f in one)
-    places = [root / f"{folder}_{_KINDS[kind]}" for folder in known]
-    for place in places:
-        if (file := place / f"{name}.json").is_file():
+    known = _FOLDERS.get(arm) or dict.fromkeys(
+        f for prefixes in _FOLDERS.values() for f in prefixes
+    )
+    folders = [root / f"{folder}_{_KINDS[kind]}" for folder in known]
+    for folder in folders:
+        if (file := folder / f"{name}.json").is_file():
             return file
-    there = sorted({file.stem for place in places for file in place.glob("*.json")})
-    ids = f"; there are {', '.join(there)}" if there else ""
+    ids = sorted({file.stem for folder in folders for file in folder.glob("*.json")})
+    hint = f"; there are {', '.join(ids)}" if ids else ""
     raise ConfigError(
-        f"LeRobot has no calibration with id {name!r} in {root}/{places[0].name}{ids}: run "
+        f"LeRobot has no calibration with id {name!r} in {root}/{folders[0].name}{hint}: run "
         "lerobot-calibrate, or name the file as `calibration`"
     )

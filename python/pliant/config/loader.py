@@ -142,7 +142,7 @@ def parse(
     """
     if text.lstrip().startswith("<"):
         raise ConfigError(
-            f"{source} is no TOML but XML: a URDF goes into [robot] urdf of a configuration file "
+            f"{source} is not TOML but XML: a URDF goes into [robot] urdf of a configuration file "
             "(docs/config.md), or behind --urdf where a ready file has none of its own"
         )
     try:
@@ -151,27 +151,27 @@ def parse(
         cause = str(error)
         if "Unescaped" in cause or "hex value" in cause:  # "C:\Users\..."
             cause += "; write a path with / or in single quotes"
-        raise ConfigError(f"{source} is no TOML: {cause}") from error
+        raise ConfigError(f"{source} is not TOML: {cause}") from error
     except RecursionError as error:
-        raise ConfigError(f"{source} is no TOML: it is nested too deeply") from error
+        raise ConfigError(f"{source} is not TOML: it is nested too deeply") from error
     except ValueError as error:  # an integer of more digits than Python reads
-        raise ConfigError(f"{source} is no TOML: {error}") from error
+        raise ConfigError(f"{source} is not TOML: {error}") from error
     _override(table, source, **overrides)
     try:
         config = Config.model_validate(table)
     except ValidationError as error:
         messages = [line for sentence in explain(error, Config) for line in sentence.splitlines()]
-        raise _all_wrong(source, [*messages, *_settings(table)]) from None
-    if wrong := _settings(table):
-        raise _all_wrong(source, wrong)
+        raise _error_of(source, [*messages, *_settings(table)]) from None
+    if messages := _settings(table):
+        raise _error_of(source, messages)
     return config.at(Path(folder), source)
 
 
-def _all_wrong(source: str, wrong: list[str]) -> ConfigError:
-    """Return a `ConfigError` with all errors of a file, one per line."""
-    if len(wrong) == 1:
-        return ConfigError(f"{source}: {wrong[0]}")
-    return ConfigError("\n".join([f"{source} has {len(wrong)} mistakes:", *wrong]))
+def _error_of(source: str, messages: list[str]) -> ConfigError:
+    """Return a `ConfigError` with all error messages of a file, one per line."""
+    if len(messages) == 1:
+        return ConfigError(f"{source}: {messages[0]}")
+    return ConfigError("\n".join([f"{source} has {len(messages)} mistakes:", *messages]))
 
 
 def _settings(table: dict[str, Any]) -> list[str]:
@@ -188,7 +188,7 @@ def _settings(table: dict[str, Any]) -> list[str]:
         preset = None
     if not isinstance(fields, dict):
         return []
-    return [f"settings: {messages}" for messages in resolve(fields, preset, rate)[1]]
+    return [f"settings: {message}" for message in resolve(fields, preset, rate)[1]]
 
 
 def _read(path: Path) -> str:
@@ -200,8 +200,8 @@ def _read(path: Path) -> str:
 
 def _builtin_files() -> dict[str, Traversable]:
     folder = files("pliant.config").joinpath("arms")
-    found = {f.name.removesuffix(".toml"): f for f in folder.iterdir() if f.name.endswith(".toml")}
-    return dict(sorted(found.items()))
+    arms = {f.name.removesuffix(".toml"): f for f in folder.iterdir() if f.name.endswith(".toml")}
+    return dict(sorted(arms.items()))
 
 
 def list_arms() -> tuple[str, ...]:

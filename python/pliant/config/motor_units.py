@@ -80,12 +80,12 @@ def motor_units(config: Config, model: Model, *, use_degrees: bool = True) -> di
             f"{config.source}: LeRobot's values are those of servos: give every joint its servo in "
             "[servo]"
         )
-    files, places = calibrations(config), zeros(config)
+    entries, counts = calibrations(config), zeros(config)
     ends = dict(zip(model.joint_names, zip(model.lower, model.upper, strict=True), strict=True))
     out: dict[str, MotorUnits] = {}
     for joint, servo in servos(config).items():
-        unit = Units.of(spec(joint, servo, port=servo.port, zero=places[joint]))
-        step, entry = unit.sign * unit.count, files.get(joint)
+        unit = Units.of(spec(joint, servo, port=servo.port, zero=counts[joint]))
+        step, entry = unit.sign * unit.count, entries.get(joint)
         on_chain = joint in ends
         if entry is not None:
             low, high = float(entry.range_min), float(entry.range_max)

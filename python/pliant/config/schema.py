@@ -232,8 +232,8 @@ class Life(StrictModel):
         rest_q: Joint positions (n,) [rad] in which the arm rests without torque; the arm moves
             there before torque off. None: the arm is lowered straight down.
         on_exit: `lower`: lower the arm, then torque off; `leave_enabled`: torque stays on.
-        guardian: True: a separate process does the same if the program is killed, crashes or hangs;
-            only with real servos.
+        guardian: True: a separate process performs `on_exit` if the program is killed, crashes or
+            hangs; only with real servos.
     """
 
     rest_q: list[Number] | None = None
@@ -294,7 +294,7 @@ class Config(StrictModel):
 
     @field_validator("preset")
     @classmethod
-    def _there_is_one(cls, preset: str | dict[str, Any] | None) -> str | dict[str, Any] | None:
+    def _exists(cls, preset: str | dict[str, Any] | None) -> str | dict[str, Any] | None:
         check_preset(preset)
         return preset
 
@@ -358,10 +358,10 @@ class Config(StrictModel):
         Raises:
             ConfigError: Fields or values are invalid; the message lists all errors.
         """
-        made, wrong = resolve(self.fields, self.preset, self.loop.rate)
-        if made is None:
-            raise ConfigError("; ".join(wrong))
-        return made
+        settings, errors = resolve(self.fields, self.preset, self.loop.rate)
+        if settings is None:
+            raise ConfigError("; ".join(errors))
+        return settings
 
     def __repr__(self) -> str:
         """Return a description of the configuration in one line."""
@@ -377,11 +377,11 @@ def check_tables(config: Config) -> None:
     Raises:
         ValueError: The tables contradict each other; the message has one line per error.
     """
-    wrong = [*_ports(config), *_ids(config), *_supply(config)]
+    errors = [*_ports(config), *_ids(config), *_supply(config)]
     if config.backend != "sim" and not config.servo:
-        wrong.append(f"servo is missing: backend {config.backend!r} needs a servo for every joint")
-    if wrong:
-        raise ValueError("\n".join(wrong))
+        errors.append(f"servo is missing: backend {config.backend!r} needs a servo for every joint")
+    if errors:
+        raise ValueError("\n".join(errors))
 
 
 def _ports(config: Config) -> list[str]:
@@ -397,10 +397,10 @@ def _ids(config: Config) -> list[str]:
     owners: dict[tuple[str, int], str] = {}
     out = []
     for joint, servo in servos(config).items():
-        own = [servo.id] if servo.secondary is None else [servo.id, servo.secondary.id]
-        for number in own:
+        ids = [servo.id] if servo.secondary is None else [servo.id, servo.secondary.id]
+        for number in ids:
             other = owners.setdefault((servo.port, number), joint)
-            if other != joint or own.count(number) > 1:
+            if other != joint or ids.count(number) > 1:
                 out.append(
                     f"servo.{joint} and servo.{other} have the same id {number} on port "
                     f"{servo.port!r}; every servo on a port needs an id of its own"
@@ -466,13 +466,13 @@ def servo_table(config: Config) -> tuple[tuple[str, ...], Servos]:
 
     The parameters (N,) follow from the servo models, the supply voltage and the gains in the file.
     """
-    own = servos(config)
+    by_joint = servos(config)
     units = [
         Units.of(spec(joint, servo, port=servo.port), config.supply.voltage)
-        for joint, servo in own.items()
+        for joint, servo in by_joint.items()
     ]
-    gains = [servo.gain or get_model(servo.model).gain_default for servo in own.values()]
-    return tuple(own), servos_from_units(units, gains, [unit.full for unit in units])
+    gains = [servo.gain or get_model(servo.model).gain_default for servo in by_joint.values()]
+    return tuple(by_joint), servos_from_units(units, gains, [unit.full for unit in units])
 
 
 def chain_servos(config: Config, model: Model) -> Servos:
@@ -482,8 +482,8 @@ def chain_servos(config: Config, model: Model) -> Servos:
     """
     names, table = servo_table(config)
     known = all(config.servo[joint].kp is not None for joint in model.joint_names)
-    places = [names.index(joint) for joint in model.joint_names]
-    return take(table, len(names), places).replace(stiffness_known=known)
+    indices = [names.index(joint) for joint in model.joint_names]
+    return take(table, len(names), indices).replace(stiffness_known=known)
 
 
 def extra_servos(config: Config, model: Model) -> dict[str, Servos]:
@@ -501,15 +501,15 @@ def _match(config: Config, model: Model) -> None:
     if not config.servo:
         return
     chain, named = set(model.joint_names), set(config.servo)
-    lacking = [joint for joint in model.joint_names if joint not in named]
-    strange = [joint for joint in config.servo if joint not in chain]
-    if not (lacking or strange):
+    missing = [joint for joint in model.joint_names if joint not in named]
+    unknown = [joint for joint in config.servo if joint not in chain]
+    if not (missing or unknown):
         return
     parts = []
-    if lacking:
-        parts.append(f"no servo for {', '.join(lacking)}")
-    if strange:
-        parts.append(f"no joint for the servos {', '.join(strange)}")
+    if missing:
+        parts.append(f"no servo for {', '.join(missing)}")
+    if unknown:
+        parts.append(f"no joint for the servos {', '.join(unknown)}")
     raise ConfigError(
         f"file and URDF disagree on the joints from {model.base} to {model.tip}: "
         f"{'; '.join(parts)}. The chain has {', '.join(model.joint_names)}"
@@ -519,25 +519,25 @@ def _match(config: Config, model: Model) -> None:
 def zeros(config: Config) -> dict[str, float | None]:
     """Return the encoder count at zero angle of each joint, including the gripper.
 
-    None means the middle of the servo's range. With a calibration file, zero is the middle of the
-    calibrated range, as in LeRobot; a gripper is closed at one end of its calibrated range.
+    None means the middle of the servo's range. With a calibration file, the zero angle is at the
+    middle of the calibrated range, as in LeRobot; a gripper is closed at one end of its range.
 
     Raises:
         ConfigError: The calibration file cannot be read, lacks a joint, or has a wrong id or an
             impossible range of a servo.
     """
-    own = calibrations(config)
+    entries = calibrations(config)
     out = {
-        joint: own[joint].middle if joint in own else servo.zero
+        joint: entries[joint].middle if joint in entries else servo.zero
         for joint, servo in servos(config).items()
     }
     gripper = config.gripper
-    if gripper is not None and gripper.joint in own:
+    if gripper is not None and gripper.joint in entries:
         closed, opened = gripper_travel(config)
         unit = Units.of(spec(gripper.joint, gripper.servo, port=gripper.servo.port))
-        entry = own[gripper.joint]
-        grows = (opened > closed) == (unit.sign > 0)
-        end = entry.range_min if grows else entry.range_max
+        entry = entries[gripper.joint]
+        is_increasing = (opened > closed) == (unit.sign > 0)
+        end = entry.range_min if is_increasing else entry.range_max
         out[gripper.joint] = end - unit.sign * closed / unit.count
     return out
 

@@ -99,7 +99,7 @@ class Dxl1Servo(Servo):
     def check_write(self, address: int, data: bytes) -> int:
         """Return the error bit of a write, 0 if it is accepted.
 
-        Checked are address, access rights, EEPROM lock and range, and for goals the angle limits.
+        It checks address, access rights, EEPROM lock and range, and for goals the angle limits.
         """
         end = address + len(data)
         if not data or end > self.table.size:

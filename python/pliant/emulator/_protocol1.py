@@ -89,8 +89,8 @@ def _single(servo: Servo, instruction: int, params: bytes) -> bytes:
 
 def act(servo: Servo) -> int:
     """Execute the write that REG_WRITE stored; return its error code, 0 if nothing was stored."""
-    waiting, servo.registered = servo.registered, None
-    return servo.write(*waiting, "reg_write") if waiting else 0
+    stored, servo.registered = servo.registered, None
+    return servo.write(*stored, "reg_write") if stored else 0
 
 
 def _broadcast(servos: Sequence[Servo], frame: Frame) -> list[Slot]:
@@ -115,12 +115,12 @@ def _broadcast(servos: Sequence[Servo], frame: Frame) -> list[Slot]:
     elif frame.instruction == SYNC_WRITE and len(params) >= 2:
         _sync_write(servos, params)
     elif frame.instruction == SYNC_READ and len(params) >= 2:
-        able = [servo for servo in servos if isinstance(servo, StsServo)]
-        return _reads(able, [(id, params[0], params[1]) for id in params[2:]], chain=False)
+        sts = [servo for servo in servos if isinstance(servo, StsServo)]
+        return _reads(sts, [(id, params[0], params[1]) for id in params[2:]], chain=False)
     elif frame.instruction == BULK_READ and len(params) % 3 == 1:
-        wanted = [(params[k + 1], params[k + 2], params[k]) for k in range(1, len(params), 3)]
-        bulk = [servo for servo in servos if "p_gain" in servo.table]
-        return _reads(bulk, wanted, chain=True)
+        blocks = [(params[k + 1], params[k + 2], params[k]) for k in range(1, len(params), 3)]
+        mx = [servo for servo in servos if "p_gain" in servo.table]
+        return _reads(mx, blocks, chain=True)
     return []
 
 
@@ -134,18 +134,18 @@ def _sync_write(servos: Sequence[Servo], params: bytes) -> None:
 
 
 def _reads(
-    servos: Sequence[Servo], wanted: list[tuple[int, int, int]], *, chain: bool
+    servos: Sequence[Servo], blocks: list[tuple[int, int, int]], *, chain: bool
 ) -> list[Slot]:
-    """Return the replies to a read of several servos, in the order of `wanted`.
+    """Return the replies to a read of several servos, in the order of `blocks`.
 
     Args:
         servos: Servos on the bus.
-        wanted: Id, address and length [bytes] of each block to read.
+        blocks: Id, address and length [bytes] of each block to read.
         chain: True if each servo waits for the reply of the previous one, so that a missing servo
             ends the replies.
     """
     slots: list[Slot] = []
-    for id, address, length in wanted:
+    for id, address, length in blocks:
         slot: Slot = []
         for servo in servos:
             if servo.id == id:

@@ -78,8 +78,8 @@ def _single(servo: XServo, instruction: int, params: bytes) -> bytes:
     return status_2(id, alert | servo.status() | error, data)
 
 
-def _word(params: bytes, at: int) -> int:
-    return int.from_bytes(params[at : at + 2], "little")
+def _word(params: bytes, index: int) -> int:
+    return int.from_bytes(params[index : index + 2], "little")
 
 
 def _broadcast(servos: Sequence[XServo], frame: Frame) -> list[Slot]:
@@ -91,49 +91,49 @@ def _broadcast(servos: Sequence[XServo], frame: Frame) -> list[Slot]:
         return list(by_id.values())
     if instruction in {SYNC_READ, FAST_SYNC_READ} and len(params) >= 4:
         address, length = _word(params, 0), _word(params, 2)
-        wanted = [(id, address, length) for id in params[4:]]
-        fast = instruction == FAST_SYNC_READ
-        return _fast_reads(servos, wanted) if fast else _reads(servos, wanted)
+        blocks = [(id, address, length) for id in params[4:]]
+        is_fast = instruction == FAST_SYNC_READ
+        return _fast_reads(servos, blocks) if is_fast else _reads(servos, blocks)
     if instruction in {BULK_READ, FAST_BULK_READ} and len(params) % 5 == 0:
-        wanted = [
+        blocks = [
             (params[k], _word(params, k + 1), _word(params, k + 3))
             for k in range(0, len(params), 5)
         ]
-        fast = instruction == FAST_BULK_READ
-        return _fast_reads(servos, wanted) if fast else _reads(servos, wanted)
+        is_fast = instruction == FAST_BULK_READ
+        return _fast_reads(servos, blocks) if is_fast else _reads(servos, blocks)
     if instruction == SYNC_WRITE and len(params) >= 4:
         address, length = _word(params, 0), _word(params, 2)
         for start in range(4, len(params) - length, length + 1):
             data = params[start + 1 : start + 1 + length]
             _write(servos, params[start], address, data, "sync_write")
     elif instruction == BULK_WRITE:
-        at = 0
-        while at + 5 <= len(params):
-            length = _word(params, at + 3)
-            data = params[at + 5 : at + 5 + length]
+        index = 0
+        while index + 5 <= len(params):
+            length = _word(params, index + 3)
+            data = params[index + 5 : index + 5 + length]
             if len(data) == length:
-                _write(servos, params[at], _word(params, at + 1), data, "bulk_write")
-            at += 5 + length
+                _write(servos, params[index], _word(params, index + 1), data, "bulk_write")
+            index += 5 + length
     elif instruction in {WRITE, REG_WRITE, ACTION, REBOOT}:
         for servo in servos:
             _single(servo, instruction, params)
     return []
 
 
-def _write(servos: Sequence[XServo], id: int, address: int, data: bytes, how: str) -> None:
+def _write(servos: Sequence[XServo], id: int, address: int, data: bytes, name: str) -> None:
     for servo in servos:
         if servo.id == id:
-            servo.write(address, data, how)
+            servo.write(address, data, name)
 
 
-def _reads(servos: Sequence[XServo], wanted: list[tuple[int, int, int]]) -> list[Slot]:
-    """Return the replies to a read of several servos, in the order of `wanted`.
+def _reads(servos: Sequence[XServo], blocks: list[tuple[int, int, int]]) -> list[Slot]:
+    """Return the replies to a read of several servos, in the order of `blocks`.
 
-    `wanted` is the id, address and length [bytes] of each block. Each servo waits for the reply of
-    the previous one, so a missing servo ends the replies.
+    `blocks` contains id, address and length [bytes] of each block. Each servo waits for the reply
+    of the previous one, so a missing servo ends the replies.
     """
     slots: list[Slot] = []
-    for id, address, length in wanted:
+    for id, address, length in blocks:
         slot: Slot = []
         for servo in servos:
             if servo.id == id and servo.level:
@@ -146,27 +146,27 @@ def _reads(servos: Sequence[XServo], wanted: list[tuple[int, int, int]]) -> list
     return slots
 
 
-def _fast_reads(servos: Sequence[XServo], wanted: list[tuple[int, int, int]]) -> list[Slot]:
+def _fast_reads(servos: Sequence[XServo], blocks: list[tuple[int, int, int]]) -> list[Slot]:
     """Return the reply to a fast read: one status packet, to which the servos append in turn.
 
-    `wanted` is the id, address and length [bytes] of each block to read. Each servo's part ends
+    `blocks` contains id, address and length [bytes] of each block to read. Each servo's part ends
     with the CRC of all bytes sent so far. The packet has no byte stuffing. MX(2.0) servos do not
     support the instruction.
     """
-    length = 1 + sum(4 + size for _, _, size in wanted)
+    length = 1 + sum(4 + size for _, _, size in blocks)
     if length > LONGEST:
         return []
     sent = HEADER_2 + bytes((BROADCAST,)) + length.to_bytes(2, "little") + bytes((STATUS,))
     slots: list[Slot] = []
-    for id, address, size in wanted:
-        able = [s for s in servos if s.id == id and not s.model.name.startswith("MX")]
-        if not able:
+    for id, address, size in blocks:
+        readable = [s for s in servos if s.id == id and not s.model.name.startswith("MX")]
+        if not readable:
             break
-        error, data = able[0].read(address, size)
-        body = bytes((able[0].status() | error, id)) + data.ljust(size, b"\0")
+        error, data = readable[0].read(address, size)
+        body = bytes((readable[0].status() | error, id)) + data.ljust(size, b"\0")
         start = b"" if slots else sent
         sent = sent + body
-        closing = crc16(sent).to_bytes(2, "little")
-        sent += closing
-        slots.append([(able[0], start + body + closing)])
+        crc = crc16(sent).to_bytes(2, "little")
+        sent += crc
+        slots.append([(readable[0], start + body + crc)])
     return slots

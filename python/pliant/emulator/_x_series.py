@@ -28,7 +28,7 @@ class XServo(Servo):
 
     Velocity, current and PWM modes accept their registers but do not drive the motor. Assumptions:
     a goal written with torque off is kept, and the servo moves to it at torque-on; three seconds at
-    the limit at standstill count as an overload.
+    standstill with the torque at its limit count as an overload.
     """
 
     protocol = 2
@@ -70,7 +70,7 @@ class XServo(Servo):
     def raw_of(self, count: float) -> float:
         """Return the encoder count at which `count` is reported.
 
-        Reverse mode inverts the count first; then Homing Offset is added.
+        The servo reports the encoder count, inverted in reverse mode, plus Homing Offset.
         """
         raw = count - self.get("homing_offset")
         return raw if self.direction > 0 else 4096 - raw
@@ -91,15 +91,15 @@ class XServo(Servo):
 
     def resolve(self, address: int, length: int) -> list[int]:
         """Return the address of each byte; for an indirect data byte, the address it refers to."""
-        places: list[int] = []
+        addresses: list[int] = []
         for byte in range(address, address + length):
             register = self.table.at(byte)
             if register is not None and register.name.startswith("indirect_data_"):
                 target = self.get(f"indirect_address_{register.name[14:]}")
-                places.append(target if self.table.at(target) else byte)
+                addresses.append(target if self.table.at(target) else byte)
             else:
-                places.append(byte)
-        return [min(place, self.table.size - 1) for place in places]
+                addresses.append(byte)
+        return [min(byte, self.table.size - 1) for byte in addresses]
 
     def check_read(self, address: int, length: int) -> int:
         """Return 0, or the access error for bytes beyond the table; gaps in it read as 0."""

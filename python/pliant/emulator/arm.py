@@ -140,8 +140,8 @@ class ArmPhysics:
         for name in names:
             if name not in self._chain + self._extra or names.count(name) > 1:
                 what = "twice" if names.count(name) > 1 else "but there is no such joint"
-                there = ", ".join(self._chain + self._extra)
-                raise ConfigError(f"joint {name!r} is mounted, {what}; the arm has {there}")
+                known = ", ".join(self._chain + self._extra)
+                raise ConfigError(f"joint {name!r} is mounted, {what}; the arm has {known}")
         missing = [name for name in self._chain if name not in names]
         if missing:
             raise ConfigError(f"no servo is mounted on {', '.join(missing)}")
@@ -173,11 +173,11 @@ class ArmPhysics:
         full = np.zeros((model.nv, model.nv))
         mujoco.mj_fullM(model, data, full)
         for name, couplings in self._joints.items():
-            at = model.joint(name).dofadr[0]
+            dof = model.joint(name).dofadr[0]
             for coupling in couplings:
-                own = coupling.servo.model.motor.inertia
-                carried = float(full[at, at]) / len(couplings) / coupling.ratio**2
-                coupling.servo.load.inertia = max(carried - own, 0.0)
+                rotor = coupling.servo.model.motor.inertia
+                inertia = float(full[dof, dof]) / len(couplings) / coupling.ratio**2
+                coupling.servo.load.inertia = max(inertia - rotor, 0.0)
 
     def step(self, count: int) -> None:
         """Apply the servos' motor requests to the plant, and run `count` physics steps.
@@ -221,7 +221,7 @@ class ArmPhysics:
             drives: Motor request of each of these servos.
             seconds: Duration of the step [s].
         """
-        stiffness = damping = pull = kv = limit = 0.0
+        stiffness = damping = goal_torque = kv = limit = 0.0
         for coupling, drive in zip(couplings, drives, strict=True):
             square = coupling.ratio**2
             motor = coupling.servo.model.motor
@@ -234,7 +234,7 @@ class ArmPhysics:
             stiffness += drive.stiffness * square
             kv += drive.kv * square
             limit += drive.ceiling * abs(coupling.ratio)
-            pull += (
+            goal_torque += (
                 drive.stiffness * square * (coupling.reference - coupling.offset) / coupling.ratio
             )
         model = self.plant.mj_model
@@ -245,8 +245,8 @@ class ArmPhysics:
         for coupling, drive in zip(couplings, drives, strict=True):
             coupling.share = drive.ceiling / total if total > 0.0 else 0.0
             coupling.slope = drive.slope
-        here = float(self.plant.mj_data.joint(name).qpos[0])
-        return (pull / stiffness if stiffness > 0.0 else here), limit
+        position = float(self.plant.mj_data.joint(name).qpos[0])
+        return (goal_torque / stiffness if stiffness > 0.0 else position), limit
 
     def _update_shafts(self) -> None:
         """Convert angle, speed and torque of the joints, and store them in the servos' shafts."""
@@ -254,8 +254,8 @@ class ArmPhysics:
         q, dq, torque = plant.q, plant.dq, plant.torque
         for name, couplings in self._joints.items():
             if name in self._chain:
-                at = self._chain.index(name)
-                angle, speed, effort = float(q[at]), float(dq[at]), float(torque[at])
+                i = self._chain.index(name)
+                angle, speed, effort = float(q[i]), float(dq[i]), float(torque[i])
             else:
                 joint = plant.mj_data.joint(name)
                 angle, speed = float(joint.qpos[0]), float(joint.qvel[0])

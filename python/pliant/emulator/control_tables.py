@@ -103,16 +103,16 @@ class Table:
         return self._at.get(address)
 
     def span(self, address: int, length: int) -> list[Register]:
-        """Return the registers that overlap `length` bytes from `address` on, by address."""
-        found: list[Register] = []
+        """Return the registers that overlap `length` bytes from `address` on, in order."""
+        registers: list[Register] = []
         for byte in range(address, address + length):
             register = self._at.get(byte)
-            if register is not None and (not found or found[-1] is not register):
-                found.append(register)
-        return found
+            if register is not None and (not registers or registers[-1] is not register):
+                registers.append(register)
+        return registers
 
     def changed(self, text: str = "", **initial: int) -> Table:
-        """Return a copy of the table with other registers and other initial values.
+        """Return a copy of the table with registers added or replaced and new initial values.
 
         Args:
             text: Rows of registers to add or replace, in the format of `parse`.
@@ -308,11 +308,10 @@ _X_COMMON = """
 _X = Table(parse(_X_COMMON + _indirect(224, 28, 64, 661)))
 
 
-def _with_current(table: Table, most: int) -> Table:
-    """Return a copy of `table` with Current Limit and Goal Current, up to `most` [counts]."""
+def _with_current(table: Table, top: int) -> Table:
+    """Return a copy of `table` with Current Limit and Goal Current, up to `top` [counts]."""
     return table.changed(
-        f"38 2 E rw {most} 0..{most} u current_limit\n"
-        f"102 2 R rw {most} -{most}..{most} t goal_current\n"
+        f"38 2 E rw {top} 0..{top} u current_limit\n102 2 R rw {top} -{top}..{top} t goal_current\n"
     )
 
 

@@ -35,8 +35,8 @@ class Emulator:
         physics: Physics of the shafts; by default each servo moves independently with its `load`.
         timing: Latencies of serial line and adapter; none by default.
         faults: Injected faults; none by default.
-        clock: `real`: physics follows the wall clock. `steps`: time advances only by `advance`
-            and, with wire timing, by the duration of transactions.
+        clock: `real`: emulated time follows the wall clock. `steps`: it advances only by calls of
+            `advance` and, with wire timing, by the duration of transactions.
         baud: Baud rate of all servos whose device sets no `baud_rate` [bit/s].
         log: Capacity of the log [transactions].
 
@@ -129,9 +129,9 @@ class Emulator:
         return self._server.lag
 
     @property
-    def late(self) -> float:
-        """Largest latency of a reply due to a busy computer [s]; measured with the clock `real`."""
-        return self._server.late
+    def max_latency(self) -> float:
+        """Largest delay of a reply by a busy computer so far [s]; 0 with the clock `steps`."""
+        return self._server.max_latency
 
     @property
     def time(self) -> float:

@@ -158,8 +158,8 @@ class Faults:
         """Return the bytes of the reply `packet` after a fault; empty for `lose` and `late`."""
         rng = self._rng
         if kind == "corrupt":
-            at, bit = int(rng.integers(len(packet))), 1 << int(rng.integers(8))
-            return packet[:at] + bytes((packet[at] ^ bit,)) + packet[at + 1 :]
+            index, bit = int(rng.integers(len(packet))), 1 << int(rng.integers(8))
+            return packet[:index] + bytes((packet[index] ^ bit,)) + packet[index + 1 :]
         if kind == "truncate":
             return packet[: int(rng.integers(1, len(packet)))]
         if kind == "noise":
@@ -184,8 +184,8 @@ def collide(first: bytes, second: bytes) -> bytes:
     The line is low when either servo pulls it low, so the bits are combined with AND. The second
     servo is assumed to start one bit later.
     """
-    late = int.from_bytes(second, "little") << 1 | 1
-    shifted = (late & ((1 << 8 * len(second)) - 1)).to_bytes(len(second), "little")
+    bits = int.from_bytes(second, "little") << 1 | 1
+    shifted = (bits & ((1 << 8 * len(second)) - 1)).to_bytes(len(second), "little")
     size = max(len(first), len(second))
-    one, two = first.ljust(size, b"\xff"), shifted.ljust(size, b"\xff")
-    return bytes(a & b for a, b in zip(one, two, strict=True))
+    first_bits, second_bits = first.ljust(size, b"\xff"), shifted.ljust(size, b"\xff")
+    return bytes(a & b for a, b in zip(first_bits, second_bits, strict=True))

@@ -20,13 +20,14 @@ if TYPE_CHECKING:
 GRIP = 30.0
 #: Largest torque of the hand on a joint, in addition to the torque that carries the arm [N·m].
 MAX_TORQUE = 1.0
-#: Motion `wave`: amplitude [rad], period of the first joint [s], and increase of the period from
-#: joint to joint [s].
-AMPLITUDE, PERIOD, PERIOD_STEP = 0.3, 4.0, 0.7
-#: Time in which the hand moves the joints from their initial positions to those of the motion [s].
+#: Amplitude of the motion `wave` [rad].
+AMPLITUDE = 0.3
+#: Period of the first joint in the motion `wave`, and its increase from joint to joint [s].
+PERIOD, PERIOD_STEP = 4.0, 0.7
+#: Duration of the transition from the initial joint positions to the motion [s].
 TAKE_TIME = 3.0
-#: Motion `ranges`: all joints stay in mid-range for `MIDDLE_TIME` [s]. Then each joint in turn
-#: moves through its range and back in `RANGE_TIME` [s].
+#: Times in the motion `ranges` [s]: all joints stay in mid-range for `MIDDLE_TIME`; then each joint
+#: in turn moves through its range and back in `RANGE_TIME`.
 MIDDLE_TIME, RANGE_TIME = 20.0, 6.0
 
 
@@ -61,17 +62,17 @@ class JointHand:
     def during(self, plant: Plant) -> None:
         """Apply the hand's torques to the joints in a physics step; they also carry the weight."""
         model, data = plant.mj_model, plant.mj_data
-        wanted = self._motion(data.time)
+        targets = self._motion(data.time)
         if not self._start:
-            self._take_hold(plant, wanted)
-        taken = _smooth(data.time / TAKE_TIME)
-        for name, position in wanted.items():
-            at = int(model.joint(name).dofadr[0])
-            here, speed = float(data.joint(name).qpos[0]), float(data.qvel[at])
-            goal = self._start[name] + taken * (position - self._start[name])
-            pull = self._inertia[name] * GRIP * (GRIP * (goal - here) - 2.0 * speed)
-            pull = min(max(pull, -MAX_TORQUE), MAX_TORQUE)
-            data.qfrc_applied[at] += pull + float(data.qfrc_bias[at])
+            self._take_hold(plant, targets)
+        progress = _smooth(data.time / TAKE_TIME)
+        for name, target in targets.items():
+            dof = int(model.joint(name).dofadr[0])
+            position, speed = float(data.joint(name).qpos[0]), float(data.qvel[dof])
+            goal = self._start[name] + progress * (target - self._start[name])
+            torque = self._inertia[name] * GRIP * (GRIP * (goal - position) - 2.0 * speed)
+            torque = min(max(torque, -MAX_TORQUE), MAX_TORQUE)
+            data.qfrc_applied[dof] += torque + float(data.qfrc_bias[dof])
 
     def _take_hold(self, plant: Plant, names: Iterable[str]) -> None:
         """Store the present position and inertia of each joint.
@@ -84,12 +85,12 @@ class JointHand:
         mass = np.zeros((model.nv, model.nv))
         mujoco.mj_fullM(model, data, mass)
         for name in names:
-            at = int(model.joint(name).dofadr[0])
-            self._start[name], self._inertia[name] = float(data.joint(name).qpos[0]), mass[at, at]
+            i = int(model.joint(name).dofadr[0])
+            self._start[name], self._inertia[name] = float(data.joint(name).qpos[0]), mass[i, i]
 
 
 def wave(model: Model, start: Mapping[str, float]) -> Motion:
-    """Return a motion in which every joint swings about its start, each with its own period.
+    """Return a motion in which every joint oscillates about its start, each with its own period.
 
     Args:
         model: The robot, for the position limits.
@@ -102,8 +103,8 @@ def wave(model: Model, start: Mapping[str, float]) -> Motion:
         for number, (name, middle) in enumerate(start.items()):
             low, high = limits.get(name, (-math.inf, math.inf))
             period = PERIOD + PERIOD_STEP * number
-            place = middle + AMPLITUDE * math.sin(2.0 * math.pi * time / period)
-            out[name] = min(max(place, low), high)
+            position = middle + AMPLITUDE * math.sin(2.0 * math.pi * time / period)
+            out[name] = min(max(position, low), high)
         return out
 
     return motion

@@ -44,12 +44,12 @@ class Write:
     @property
     def values(self) -> dict[str, int]:
         """Values of completely written registers by name, in order of address."""
-        found: dict[str, int] = {}
+        values: dict[str, int] = {}
         for register in self._table.span(self.address, len(self.data)):
             start = register.address - self.address
             if start >= 0 and start + register.size <= len(self.data):
-                found[register.name] = register.decode(self.data[start : start + register.size])
-        return found
+                values[register.name] = register.decode(self.data[start : start + register.size])
+        return values
 
     @property
     def eeprom(self) -> bool:
@@ -159,11 +159,11 @@ class Log:
         steps: list[str] = []
         for write in self.writes(id=id, refused=False):
             values = write.values
-            now = ["limit"] if LIMITS & values.keys() else []
-            now += ["goal"] if GOALS & values.keys() else []
+            entries = ["limit"] if LIMITS & values.keys() else []
+            entries += ["goal"] if GOALS & values.keys() else []
             if SWITCH in values:
-                now.append("torque on" if values[SWITCH] == 1 else "torque off")
-            for step in now:
+                entries.append("torque on" if values[SWITCH] == 1 else "torque off")
+            for step in entries:
                 if not steps or steps[-1] != step:
                     steps.append(step)
         return steps

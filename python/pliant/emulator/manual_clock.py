@@ -28,6 +28,6 @@ class ManualClock:
 
     def wait_until(self, deadline: float) -> None:
         """Advance the emulated time to `deadline` [s], instead of waiting."""
-        left = deadline - self.now()
-        if left > 0.0:
-            self._bus.advance(left)
+        remaining = deadline - self.now()
+        if remaining > 0.0:
+            self._bus.advance(remaining)

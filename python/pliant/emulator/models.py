@@ -95,41 +95,42 @@ def _motor(volts: float, stall: float, amps: float, rpm: float) -> Motor:
     return Motor(volts, stall, amps, rpm * _RPM)
 
 
-_TURN = 2.0 * math.pi / 4096
+#: Shaft angle of one count of a 12-bit encoder [rad].
+_COUNT = 2.0 * math.pi / 4096
 
 _MODELS = (
     Model("EX-106+", "dxl1", 107, tables.EX106, math.radians(251.0) / 4096,
           _motor(18.5, 10.9, 7.0, 91.0), 0.010),
     Model("RX-64", "dxl1", 64, tables.RX64, math.radians(300.0) / 1024,
           _motor(18.5, 5.3, 2.6, 64.0)),
-    Model("MX-28", "dxl1", 29, tables.MX28, _TURN, _motor(12.0, 2.5, 1.4, 55.0)),
-    Model("MX-64", "dxl1", 310, tables.MX64, _TURN, _motor(12.0, 6.0, 4.1, 63.0), 0.0045),
-    Model("MX-106", "dxl1", 320, tables.MX106, _TURN, _motor(12.0, 8.4, 5.2, 45.0), 0.0045),
-    Model("XL330-M077", "x", 1190, tables.XL330, _TURN, _motor(5.0, 0.215, 1.47, 383.0), 0.001),
-    Model("XL330-M288", "x", 1200, tables.XL330, _TURN, _motor(5.0, 0.52, 1.47, 103.0), 0.001),
-    Model("XC330-T181", "x", 1210, tables.XC330, _TURN, _motor(11.1, 0.76, 0.80, 104.0), 0.001),
-    Model("XC330-T288", "x", 1220, tables.XC330, _TURN, _motor(11.1, 0.92, 0.80, 65.0), 0.001),
-    Model("XL430-W250", "x", 1060, tables.XL430, _TURN, _motor(11.1, 1.4, 1.3, 57.0)),
-    Model("XC430-W150", "x", 1070, tables.XC430, _TURN, _motor(12.0, 1.6, 1.4, 106.0)),
-    Model("XC430-W240", "x", 1080, tables.XC430, _TURN, _motor(12.0, 1.9, 1.4, 70.0)),
-    Model("XM430-W210", "x", 1030, tables.XM430, _TURN, _motor(12.0, 3.0, 2.3, 77.0), 0.00269),
-    Model("XM430-W350", "x", 1020, tables.XM430, _TURN, _motor(12.0, 4.1, 2.3, 46.0), 0.00269),
-    Model("XM540-W150", "x", 1130, tables.XM540, _TURN, _motor(12.0, 7.3, 4.4, 53.0), 0.00269),
-    Model("XM540-W270", "x", 1120, tables.XM540, _TURN, _motor(12.0, 10.6, 4.4, 30.0), 0.00269),
-    Model("XH430-W210", "x", 1010, tables.XH430, _TURN, _motor(12.0, 2.5, 1.3, 50.0), 0.00269),
-    Model("XH430-W350", "x", 1000, tables.XH430, _TURN, _motor(12.0, 3.4, 1.3, 30.0), 0.00269),
-    Model("XH540-W150", "x", 1110, tables.XH540, _TURN, _motor(12.0, 7.1, 4.9, 70.0), 0.00269),
-    Model("XH540-W270", "x", 1100, tables.XH540, _TURN, _motor(12.0, 9.9, 4.9, 39.0), 0.00269),
-    Model("MX-28(2.0)", "x", 30, tables.MX28_2, _TURN, _motor(12.0, 2.5, 1.4, 55.0)),
-    Model("MX-64(2.0)", "x", 311, tables.MX64_2, _TURN, _motor(12.0, 6.0, 4.1, 63.0), 0.00336),
-    Model("MX-106(2.0)", "x", 321, tables.MX106_2, _TURN, _motor(12.0, 8.4, 5.2, 45.0), 0.00336),
-    Model("STS3215-7.4V", "sts", 777, tables.STS, _TURN, _motor(7.4, 1.91, 2.5, 52.0), 0.0065),
-    Model("STS3215-12V", "sts", 777, tables.STS.changed(max_voltage_limit=140), _TURN,
+    Model("MX-28", "dxl1", 29, tables.MX28, _COUNT, _motor(12.0, 2.5, 1.4, 55.0)),
+    Model("MX-64", "dxl1", 310, tables.MX64, _COUNT, _motor(12.0, 6.0, 4.1, 63.0), 0.0045),
+    Model("MX-106", "dxl1", 320, tables.MX106, _COUNT, _motor(12.0, 8.4, 5.2, 45.0), 0.0045),
+    Model("XL330-M077", "x", 1190, tables.XL330, _COUNT, _motor(5.0, 0.215, 1.47, 383.0), 0.001),
+    Model("XL330-M288", "x", 1200, tables.XL330, _COUNT, _motor(5.0, 0.52, 1.47, 103.0), 0.001),
+    Model("XC330-T181", "x", 1210, tables.XC330, _COUNT, _motor(11.1, 0.76, 0.80, 104.0), 0.001),
+    Model("XC330-T288", "x", 1220, tables.XC330, _COUNT, _motor(11.1, 0.92, 0.80, 65.0), 0.001),
+    Model("XL430-W250", "x", 1060, tables.XL430, _COUNT, _motor(11.1, 1.4, 1.3, 57.0)),
+    Model("XC430-W150", "x", 1070, tables.XC430, _COUNT, _motor(12.0, 1.6, 1.4, 106.0)),
+    Model("XC430-W240", "x", 1080, tables.XC430, _COUNT, _motor(12.0, 1.9, 1.4, 70.0)),
+    Model("XM430-W210", "x", 1030, tables.XM430, _COUNT, _motor(12.0, 3.0, 2.3, 77.0), 0.00269),
+    Model("XM430-W350", "x", 1020, tables.XM430, _COUNT, _motor(12.0, 4.1, 2.3, 46.0), 0.00269),
+    Model("XM540-W150", "x", 1130, tables.XM540, _COUNT, _motor(12.0, 7.3, 4.4, 53.0), 0.00269),
+    Model("XM540-W270", "x", 1120, tables.XM540, _COUNT, _motor(12.0, 10.6, 4.4, 30.0), 0.00269),
+    Model("XH430-W210", "x", 1010, tables.XH430, _COUNT, _motor(12.0, 2.5, 1.3, 50.0), 0.00269),
+    Model("XH430-W350", "x", 1000, tables.XH430, _COUNT, _motor(12.0, 3.4, 1.3, 30.0), 0.00269),
+    Model("XH540-W150", "x", 1110, tables.XH540, _COUNT, _motor(12.0, 7.1, 4.9, 70.0), 0.00269),
+    Model("XH540-W270", "x", 1100, tables.XH540, _COUNT, _motor(12.0, 9.9, 4.9, 39.0), 0.00269),
+    Model("MX-28(2.0)", "x", 30, tables.MX28_2, _COUNT, _motor(12.0, 2.5, 1.4, 55.0)),
+    Model("MX-64(2.0)", "x", 311, tables.MX64_2, _COUNT, _motor(12.0, 6.0, 4.1, 63.0), 0.00336),
+    Model("MX-106(2.0)", "x", 321, tables.MX106_2, _COUNT, _motor(12.0, 8.4, 5.2, 45.0), 0.00336),
+    Model("STS3215-7.4V", "sts", 777, tables.STS, _COUNT, _motor(7.4, 1.91, 2.5, 52.0), 0.0065),
+    Model("STS3215-12V", "sts", 777, tables.STS.changed(max_voltage_limit=140), _COUNT,
           _motor(12.0, 2.94, 2.7, 45.0), 0.0065),
     # Variants for leader arms, with gear ratios 1:191 and 1:147 instead of 1:345: torque and speed
     # are scaled from the 1:345 variant.
-    Model("STS3215-C044", "sts", 777, tables.STS, _TURN, _motor(7.4, 1.06, 2.5, 94.0), 0.0065),
-    Model("STS3215-C046", "sts", 777, tables.STS, _TURN, _motor(7.4, 0.81, 2.5, 122.0), 0.0065),
+    Model("STS3215-C044", "sts", 777, tables.STS, _COUNT, _motor(7.4, 1.06, 2.5, 94.0), 0.0065),
+    Model("STS3215-C046", "sts", 777, tables.STS, _COUNT, _motor(7.4, 0.81, 2.5, 122.0), 0.0065),
 )  # fmt: skip
 
 MODELS: dict[str, Model] = {model.name: model for model in _MODELS}

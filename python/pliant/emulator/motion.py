@@ -66,10 +66,11 @@ class Joints:
             error -= max(-drive.dead, min(error, drive.dead))
             torque = drive.stiffness * error - drive.kv * shaft.speed
             torque = max(-drive.ceiling, min(torque, drive.ceiling))
-        outer = load.torque - load.pendulum * math.sin(shaft.angle - load.down)
-        resist = motor.damping + drive.slope
+        load_torque = load.torque - load.pendulum * math.sin(shaft.angle - load.down)
+        damping = motor.damping + drive.slope
         # Integrate damping implicitly: this is stable for a light rotor at any step size.
-        speed = (shaft.speed + dt * (torque + outer) / inertia) / (1.0 + dt * resist / inertia)
+        speed = shaft.speed + dt * (torque + load_torque) / inertia
+        speed /= 1.0 + dt * damping / inertia
         brake = dt * motor.friction / inertia
         speed = math.copysign(max(abs(speed) - brake, 0.0), speed)
         angle = shaft.angle + dt * speed
@@ -99,5 +100,5 @@ def profile_reference(
     if math.isinf(drive.speed):
         return drive.goal
     start = angle if reference is None else reference
-    most = drive.speed * seconds
-    return start + max(-most, min(drive.goal - start, most))
+    max_change = drive.speed * seconds
+    return start + max(-max_change, min(drive.goal - start, max_change))

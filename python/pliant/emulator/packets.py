@@ -104,25 +104,25 @@ class Framer:
 
     def feed(self, data: bytes) -> list[Frame]:
         """Return the packets that `data` completes; keep the bytes of an unfinished packet."""
-        buffer, at = self._rest + data, 0
+        buffer, start = self._rest + data, 0
         frames: list[Frame] = []
         while True:
-            at = buffer.find(HEADER_1, at)
-            if at < 0:
+            start = buffer.find(HEADER_1, start)
+            if start < 0:
                 self._rest = buffer[-1:] if buffer.endswith(b"\xff") else b""
                 return frames
-            if buffer.startswith(b"\xff\xff\xff", at):
-                at += 1
+            if buffer.startswith(b"\xff\xff\xff", start):
+                start += 1
                 continue
-            length = self._length(buffer, at)
-            if length is None or at + length > len(buffer):
-                self._rest = buffer[at:]
+            length = self._length(buffer, start)
+            if length is None or start + length > len(buffer):
+                self._rest = buffer[start:]
                 return frames
             if length == 0:
-                at += 1
+                start += 1
                 continue
-            frames.append(_frame(buffer[at : at + length]))
-            at += length
+            frames.append(_frame(buffer[start : start + length]))
+            start += length
 
     @staticmethod
     def _length(buffer: bytes, at: int) -> int | None:
@@ -130,13 +130,13 @@ class Framer:
 
         None: the length is not known yet. 0: no valid packet starts there.
         """
-        have = len(buffer) - at
-        if have < 4:
+        available = len(buffer) - at
+        if available < 4:
             return None
         if buffer[at + 2] == 0xFD:
             if buffer[at + 3] != 0x00:
                 return 0
-            if have < 7:
+            if available < 7:
                 return None
             length = int.from_bytes(buffer[at + 5 : at + 7], "little")
             return 7 + length if 3 <= length <= LONGEST else 0

@@ -90,7 +90,7 @@ class EmulatorProcess:
             shutil.rmtree(Path(path).parent, ignore_errors=True)
 
     def stop(self) -> None:
-        """Close the ports and end the child process."""
+        """Close the ports and end the child process; kill it if it has not ended in `STOP_TIME`."""
         self._pipe.close()
         self._process.join(STOP_TIME)
         if self._process.is_alive():
@@ -120,13 +120,13 @@ def _without_main(factory: Callable[..., Emulator]) -> Iterator[None]:
     """
     main = sys.modules["__main__"]
     hidden = {} if factory.__module__ == "__main__" else {"__spec__": None, "__file__": None}
-    kept = {name: getattr(main, name) for name in hidden if hasattr(main, name)}
-    for name in kept:
+    saved = {name: getattr(main, name) for name in hidden if hasattr(main, name)}
+    for name in saved:
         setattr(main, name, None)
     try:
         yield
     finally:
-        for name, value in kept.items():
+        for name, value in saved.items():
             setattr(main, name, value)
 
 
@@ -163,5 +163,5 @@ def _serve(
 
 def _portable(error: Exception) -> Exception:
     """Return `error`, or an equivalent error if it cannot be pickled for the parent process."""
-    explained = isinstance(error, PliantError | ImportError)
-    return error if explained else ServoError(f"{error!r}")
+    is_portable = isinstance(error, PliantError | ImportError)
+    return error if is_portable else ServoError(f"{error!r}")

@@ -30,12 +30,12 @@ class Delivery:
         after: Time from the request's first byte to the arrival [s]; None: just before the replies
             to the next request.
         data: The bytes.
-        late: True if an injected fault delays the bytes, in addition to the bus latency.
+        is_delayed: True if an injected fault delays the bytes, in addition to the bus latency.
     """
 
     after: float | None
     data: bytes
-    late: bool = False
+    is_delayed: bool = False
 
 
 class SerialLine:
@@ -86,30 +86,31 @@ class SerialLine:
         self.occupied = self.answered = 0.0
         for frame in self._framer.feed(data):
             # Each transaction starts when the previous one has left the bus.
-            start, made = self.occupied, self._transact(frame, baud, now)
-            for one in made:
-                after = None if one.after is None else start + one.after
-                deliveries.append(Delivery(after, one.data, one.late))
-                if after is not None and not one.late:
+            start, replies = self.occupied, self._transact(frame, baud, now)
+            for reply in replies:
+                after = None if reply.after is None else start + reply.after
+                deliveries.append(Delivery(after, reply.data, reply.is_delayed))
+                if after is not None and not reply.is_delayed:
                     self.answered = max(self.answered, after)
             self.occupied = start + self._took
         return deliveries
 
     def _transact(self, frame: Frame, baud: int | None, now: float) -> list[Delivery]:
-        faults, struck = self.faults, list[str]()
+        faults, fault_names = self.faults, list[str]()
         listening = [] if self.dead else self._listening(frame, baud)
-        chance = faults.chance()
-        if chance == "deaf":
-            struck.append("deaf")
+        random_fault = faults.chance()
+        if random_fault == "deaf":
+            fault_names.append("deaf")
             listening = []
         for servo in list(listening):
             if frame.id in {BROADCAST, servo.id} and faults.deaf(servo.id):
-                struck.append(f"deaf {servo.id}")
+                fault_names.append(f"deaf {servo.id}")
                 listening.remove(servo)
         slots = self._handle(listening, frame)
-        unlucky = faults.pick(len(slots)) if chance and chance != "deaf" and slots else -1
+        has_random_fault = random_fault is not None and random_fault != "deaf" and bool(slots)
+        faulty_index = faults.pick(len(slots)) if has_random_fault else -1
         packets: list[tuple[float, float, bytes]] = []
-        held: list[Delivery] = []
+        delayed: list[Delivery] = []
         rate = baud or 1_000_000
         time = self.timing.span(len(frame.raw), rate)
         for index, slot in enumerate(slots):
@@ -117,16 +118,16 @@ class SerialLine:
             for _, other in slot[1:]:
                 packet = collide(packet, other)
             fault = faults.reply_fault(servo.id)
-            if fault is None and index == unlucky and chance is not None:
-                fault = ActiveFault(chance)
+            if fault is None and index == faulty_index and random_fault is not None:
+                fault = ActiveFault(random_fault)
             if self.timing.wire:
                 time += self.timing.turnaround + self._pause(frame, index, servo)
             begin, time = time, time + self.timing.span(len(packet), rate)
             if fault is not None:
-                struck.append(f"{fault.kind} {servo.id}")
+                fault_names.append(f"{fault.kind} {servo.id}")
                 if fault.kind == "late":
                     after = None if fault.seconds is None else time + fault.seconds
-                    held.append(Delivery(after, packet, late=True))
+                    delayed.append(Delivery(after, packet, is_delayed=True))
                 packet = faults.damage(fault.kind, packet)
             if packet:
                 packets.append((begin, time, packet))
@@ -145,7 +146,7 @@ class SerialLine:
                 name if frame.ok else f"broken {name}",
                 frame.id,
                 sent,
-                tuple(struck),
+                tuple(fault_names),
                 tuple(writes),
                 time,
             )
@@ -155,7 +156,7 @@ class SerialLine:
         else:
             prompt = [Delivery(when, part) for when, part in self.timing.deliveries(packets)]
         echoed = [Delivery(0.0, frame.raw)] if self.echo else []
-        return echoed + prompt + held
+        return echoed + prompt + delayed
 
     def _listening(self, frame: Frame, baud: int | None) -> list[Servo]:
         return [

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from pliant.emulator.serial_line import SerialLine
     from pliant.emulator.simulation import Simulation
 
+#: Source of the emulated time: `real`: the wall clock; `steps`: only calls of `Emulator.advance`
+#: and, with wire timing, the duration of transactions.
 Clock = Literal["real", "steps"]
 
 #: Period of the physics updates while no request arrives, with the clock `real` [s].
@@ -43,10 +45,10 @@ class Port:
         pty: Pseudo-terminal of the port.
         marker: Bytes that `Server.sync` waits for; empty: no call of `sync` waits.
         waiting: Event that is set when the marker has been read.
-        held: Bytes from the host that may be the beginning of the marker.
+        partial_marker: Bytes from the host that may be the beginning of the marker.
         last: Time of the last bytes from the host [s].
         busy: Time until which the transactions occupy the bus [s].
-        due: Time to send and bytes of each delayed reply.
+        due: Time to send [s] and bytes of each delayed reply.
         stale: Replies that are sent just before those to the next request.
     """
 
@@ -54,7 +56,7 @@ class Port:
     pty: Pty
     marker: bytes = b""
     waiting: threading.Event = field(default_factory=threading.Event)
-    held: bytes = b""
+    partial_marker: bytes = b""
     last: float = -math.inf
     busy: float = -math.inf
     due: list[tuple[float, bytes]] = field(default_factory=list)
@@ -67,8 +69,8 @@ class Server:
     Attributes:
         lock: Lock held while buses, servos or physics run.
         lag: Time that the emulation skipped because the computer was too slow [s].
-        late: Largest latency of a reply that a busy computer caused [s]; only with the clock
-            `real`.
+        max_latency: Largest delay of a reply by a busy computer so far [s]; 0 with the clock
+            `steps`.
     """
 
     def __init__(self, world: Simulation, lines: Mapping[str, SerialLine], clock: Clock) -> None:
@@ -79,7 +81,7 @@ class Server:
         self._failed: BaseException | None = None
         self._pending_call: Callable[[], None] | None = None
         self._done = threading.Event()
-        self.lock, self.lag, self.late = threading.RLock(), 0.0, 0.0
+        self.lock, self.lag, self.max_latency = threading.RLock(), 0.0, 0.0
         self._marking = threading.Lock()
 
     def start(self) -> None:
@@ -173,8 +175,8 @@ class Server:
 
         self._run_in_thread(put)
 
-    def _run_in_thread(self, errand: Callable[[], None]) -> None:
-        """Run the function `errand` in the server's thread, and wait until it has returned.
+    def _run_in_thread(self, function: Callable[[], None]) -> None:
+        """Run a function in the server's thread, and wait until it has returned.
 
         Only that thread may close a port, because it polls the ports.
 
@@ -182,7 +184,7 @@ class Server:
             ServoError: The server's thread does not answer.
         """
         self._done.clear()
-        self._pending_call = errand
+        self._pending_call = function
         self.wake()
         if self._thread is not None and not self._done.wait(SYNC_TIME):
             raise ServoError(f"the emulator does not answer: {self._failed or 'too slow'}")
@@ -193,6 +195,7 @@ class Server:
             os.write(self._wake_w, b"!")
 
     def _run_guarded(self) -> None:
+        """Serve the ports in the thread; store an error, and hang up the ports then."""
         try:
             self._run()
         except BaseException as error:
@@ -201,8 +204,9 @@ class Server:
                 port.pty.hang_up()
 
     def _run(self) -> None:
+        """Wait for data, then answer requests and send delayed replies, until `stop`."""
         while not self._stopping:
-            looked = time.perf_counter()
+            wait_start = time.perf_counter()
             with self.lock:
                 masters = {
                     port.pty.master: port
@@ -221,22 +225,23 @@ class Server:
                     self._done.set()
                 for end in ready:
                     if end in masters and masters[end].pty.master == end:
-                        self._record_latency(looked, pause)
+                        self._record_latency(wait_start, pause)
                         self._serve(masters[end])
                 for port in self._ports.values():
                     self._flush(port)
                     if port.line.noisy:
                         port.pty.write(NOISE)
 
-    def _record_latency(self, looked: float, pause: float | None) -> None:
-        """Update `late` with the delay of the request that ended the wait for data.
+    def _record_latency(self, wait_start: float, pause: float | None) -> None:
+        """Update `max_latency` with the delay of the request that ended the wait for data.
 
         Args:
-            looked: Start of the wait for data [s].
+            wait_start: Start of the wait for data [s].
             pause: Time for which the thread intended to wait [s]; None: without limit.
         """
         if pause is not None:
-            self.late = max(self.late, time.perf_counter() - looked - pause)
+            latency = time.perf_counter() - wait_start - pause
+            self.max_latency = max(self.max_latency, latency)
 
     def _now(self) -> float:
         real = self._clock == "real"
@@ -254,33 +259,34 @@ class Server:
     def _advance_to_wall_clock(self) -> None:
         """With the clock `real`, advance the physics to the present wall clock time."""
         if self._clock == "real":
-            behind = self._now() - self._world.time
-            if behind > LARGEST_LAG:
-                self.lag += behind - LARGEST_LAG
-                self._began += behind - LARGEST_LAG
-                behind = LARGEST_LAG
-            self._world.advance(max(behind, 0.0), settle=False)
+            lag = self._now() - self._world.time
+            if lag > LARGEST_LAG:
+                self.lag += lag - LARGEST_LAG
+                self._began += lag - LARGEST_LAG
+                lag = LARGEST_LAG
+            self._world.advance(max(lag, 0.0), settle=False)
 
     def _serve(self, port: Port) -> None:
         """Pass bytes from the host to the bus; if they contain the marker of `sync`, report it."""
-        data = port.held + port.pty.read()
-        port.held = b""
+        data = port.partial_marker + port.pty.read()
+        port.partial_marker = b""
         while port.marker and data:
-            before, found, after = data.partition(port.marker)
-            if found:
+            before, separator, after = data.partition(port.marker)
+            if separator:
                 port.marker, data = b"", after
                 self._feed(port, before)
                 port.waiting.set()
                 continue
-            keep = next(
+            length = next(
                 (k for k in range(len(port.marker) - 1, 0, -1) if data.endswith(port.marker[:k])), 0
             )
-            port.held = data[len(data) - keep :]
-            data = data[: len(data) - keep]
+            port.partial_marker = data[len(data) - length :]
+            data = data[: len(data) - length]
             break
         self._feed(port, data)
 
     def _feed(self, port: Port, data: bytes) -> None:
+        """Pass bytes from the host to the bus; send its replies now, or queue delayed ones."""
         if not data:
             return
         # Measure the pause in emulated time: on a busy computer with the clock `steps`, servos must
@@ -296,12 +302,12 @@ class Server:
         if self._clock == "steps":
             self._world.advance(max(port.line.occupied, port.line.answered))
         stale, port.stale = port.stale, []
-        for late in stale:
-            port.pty.write(late)
+        for reply in stale:
+            port.pty.write(reply)
         for delivery in deliveries:
             if delivery.after is None:
                 port.stale.append(delivery.data)
-            elif delivery.late or (self._clock == "real" and delivery.after > 0.0):
+            elif delivery.is_delayed or (self._clock == "real" and delivery.after > 0.0):
                 port.due.append((start + delivery.after, delivery.data))
             else:
                 port.pty.write(delivery.data)

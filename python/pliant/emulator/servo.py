@@ -64,7 +64,7 @@ class Load:
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """Motor request: position loop of a servo's firmware, as the registers set it at present.
+    """Motor request: goal and parameters of a servo's position loop, as its registers set them.
 
     Attributes:
         goal: Goal angle of the shaft [rad]; None for a motor without power.
@@ -213,8 +213,8 @@ class Servo(ABC):
         for name, value in self.stuck.items():
             self.put(name, value)
         error = self.check_read(address, length)
-        places = () if error else self.resolve(address, length)
-        return error, bytes(self.memory[byte] for byte in places)
+        addresses = () if error else self.resolve(address, length)
+        return error, bytes(self.memory[byte] for byte in addresses)
 
     def write(self, address: int, data: bytes, instruction: str = "write") -> int:
         """Write `data` from `address` on if every register accepts it; return the error code.
@@ -222,8 +222,7 @@ class Servo(ABC):
         The write is recorded in `journal` as `instruction`, also if it is rejected.
         """
         enabled = self.enabled
-        places = self.resolve(address, len(data))
-        runs = _runs(places, data)
+        runs = _runs(self.resolve(address, len(data)), data)
         error = 0
         for start, part in runs:
             error = error or self.check_write(start, part)
@@ -372,15 +371,12 @@ class Servo(ABC):
         """React as if the servo had detected the condition with the error bit `bit`."""
 
 
-def _runs(places: list[int], data: bytes) -> list[tuple[int, bytes]]:
-    """Group `data` into blocks (first address, bytes) of contiguous addresses.
-
-    `places` are the addresses of the bytes.
-    """
+def _runs(addresses: list[int], data: bytes) -> list[tuple[int, bytes]]:
+    """Group bytes with these addresses into contiguous blocks: first address and bytes of each."""
     runs: list[tuple[int, bytearray]] = []
-    for place, byte in zip(places, data, strict=True):
-        if runs and place == runs[-1][0] + len(runs[-1][1]):
+    for address, byte in zip(addresses, data, strict=True):
+        if runs and address == runs[-1][0] + len(runs[-1][1]):
             runs[-1][1].append(byte)
         else:
-            runs.append((place, bytearray((byte,))))
+            runs.append((address, bytearray((byte,))))
     return [(start, bytes(part)) for start, part in runs]

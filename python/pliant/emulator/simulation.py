@@ -55,19 +55,19 @@ class Simulation:
         self._remainder += seconds
         steps = int(self._remainder / dt + 1e-6)
         self._remainder = max(self._remainder - steps * dt, 0.0)
-        most = max(round(SLICE / dt), 1)
+        slice_steps = max(round(SLICE / dt), 1)
         while steps > 0:
-            now = min(steps, most - self._steps_since_update)
-            self.physics.step(now)
+            count = min(steps, slice_steps - self._steps_since_update)
+            self.physics.step(count)
             for watch in tuple(self.watchers):
-                watch(now)
-            self._steps += now
-            self._steps_since_update += now
-            steps -= now
+                watch(count)
+            self._steps += count
+            self._steps_since_update += count
+            steps -= count
             self.time = self._steps * dt
             for servo in self.servos:
                 servo.now = self.time
-            if self._steps_since_update >= most:
+            if self._steps_since_update >= slice_steps:
                 self._update_servos()
         if settle and self._steps_since_update:
             self._update_servos()
@@ -87,5 +87,5 @@ class Simulation:
         for servo in self.servos:
             if servo.id == id:
                 return servo
-        there = ", ".join(f"{servo.id} ({servo.model.name})" for servo in self.servos)
-        raise ConfigError(f"no servo with id {id} is emulated; there are {there}")
+        known = ", ".join(f"{servo.id} ({servo.model.name})" for servo in self.servos)
+        raise ConfigError(f"no servo with id {id} is emulated; there are {known}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
 RATE = 100.0
 #: Largest distance of the target from the tool [m], [rad], also while the arm is blocked.
 LEASH = (0.08, 0.5)
+#: Signs of the least and the largest torque of a servo.
+SIGNS = np.array([-1.0, 1.0])
 #: Bounds of the observed force [N] and torque [N·m]; the estimate is infinite in the first tick.
 MAX_WRENCH = np.array([100.0] * 3 + [20.0] * 3)
 
@@ -76,10 +79,17 @@ class Arms:
         self._felt, self._uncertainty = np.zeros((count, 6)), np.tile(MAX_WRENCH, (count, 1))
         self._softness = np.tile(self._softest, (count, 1))
         self._has_command = np.zeros(count, dtype=bool)
-        self._goal, self._limit, self._speed = (np.zeros((count, n)) for _ in range(3))
-        self._progress, self._force, self._place = np.zeros((3, count))
+        self._speed = np.zeros((count, n))
+        # Positions and forces at the ticks of an action; the commands before and after each tick.
+        ticks = self._ticks
+        self._readings, self._forces = np.zeros((ticks, count, n)), np.zeros((ticks, count))
+        self._goals, self._limits = np.zeros((2, ticks + 1, count, n))
+        # Positions and commands arm by arm: an estimator reads contiguous memory in place.
+        self._series = np.zeros((3, count, ticks, n))
         # Views of the rows: indexing an array costs as much as a control step.
-        self._q_of, self._sent_of = list(self._q), list(zip(self._goal, self._limit, strict=True))
+        self._series_of = [(q, (goal, limit)) for q, goal, limit in zip(*self._series, strict=True)]
+        self._felt_of = list(zip(self._dq, self._felt, self._uncertainty, strict=True))
+        self._progress, self._force, self._place = np.zeros((3, count))
         self.force = np.zeros(count)
 
     def reset(self, row: int, rng: np.random.Generator) -> None:
@@ -119,24 +129,27 @@ class Arms:
         given = np.clip(np.asarray(actions, dtype=np.float64), -1.0, 1.0)
         moved, softness = np.split(given, [given.shape[1] - self._softest.size], axis=1)
         self._softness[rows] = softness[rows]
-        before, cost, largest = self._progress.copy(), *np.zeros((2, self._count))
+        before = self._progress.copy()
         dt = 1.0 / RATE
         drive = self._start(moved, rows)
-        for _ in range(self._ticks):
-            self._feel(active, dt)
-            drive(dt)
-            self._advance(active, rows, dt)
-            excess = np.maximum(self._force - self._task.free_force, 0.0) / self._task.free_force
-            cost += self._task.force_weight * excess * dt
-            np.maximum(largest, self._force, out=largest)
+        for tick in range(self._ticks):
+            self._readings[tick] = self._q
+            goal, limit = self._goals[tick + 1], self._limits[tick + 1]
+            drive(dt, goal, limit)
+            self._advance(active, rows, dt, goal, limit)
+            self._forces[tick] = self._force
+        free = self._task.free_force
+        excess = np.maximum(self._forces - free, 0.0) / free
+        # `np.sum` would add in another order for one arm than for many.
+        cost = functools.reduce(np.add, self._task.force_weight * excess * dt)
+        largest = self._forces.max(axis=0)
         if not np.isfinite(self._q).all():
             wrong = int((~np.isfinite(self._q)).any(axis=1).argmax())
             raise PliantError(f"the simulation of arm {wrong} of {self._count} diverged")
         self.force[rows] = largest[rows]
-        for row in active:
-            felt = self._contact[row].estimate
-            self._dq[row], self._felt[row] = felt.velocity, felt.force
-            self._uncertainty[row] = np.minimum(felt.uncertainty, MAX_WRENCH)
+        self._feel(active, dt)
+        self._goals[0], self._limits[0] = goal, limit
+        self._has_command[rows] = True
         success, failure = self._progress >= 1.0, largest > self._task.max_force
         return self._progress - before - cost + success - failure, success, failure
 
@@ -172,7 +185,7 @@ class Arms:
         """Return the progress of each episode (N,); 0 for an arm without an episode."""
         return self._progress.copy()
 
-    def _start(self, moved: Array, rows: Mask) -> Callable[[float], None]:
+    def _start(self, moved: Array, rows: Mask) -> Callable[[float, Array, Array], None]:
         """Return the function that steps all controllers once per tick of this action."""
         if self.action.motion == "joints":
             reach = 0.1 * self.action.max_speed[1]
@@ -191,7 +204,7 @@ class Arms:
             self._target[rows] = tool[rows]
             self._move(change, turn, tool, rows)
 
-        def step(dt: float) -> None:
+        def step(dt: float, goal: Array, limit: Array) -> None:
             if twist:
                 tool = self.model.forward_kinematics_batch(self._q)
                 self._move(change, turn, tool, rows)
@@ -202,22 +215,22 @@ class Arms:
                 dt=dt,
                 caps=caps,
                 adaptation=adaptation,
-                out=(self._goal, self._limit, self._speed),
+                out=(goal, limit, self._speed),
             )
 
         return step
 
-    def _joint_steps(self, wanted: Array, rows: Mask) -> Callable[[float], None]:
+    def _joint_steps(self, wanted: Array, rows: Mask) -> Callable[[float, Array, Array], None]:
         """Return the function that steps the arms toward joint targets `wanted` (N, n) [rad]."""
         active = [int(row) for row in np.flatnonzero(rows)]
         for row in active:
             settings = self.action.softened(self._settings, self._hold, self._softness[row])
             self._own[row].update(settings)
 
-        def step(dt: float) -> None:
+        def step(dt: float, goal: Array, limit: Array) -> None:
             for row in active:
                 command = self._own[row].step_joints(self._q[row], wanted[row], dt=dt)
-                self._goal[row], self._limit[row] = command.goal, command.torque_limit
+                goal[row], limit[row] = command.goal, command.torque_limit
 
         return step
 
@@ -240,18 +253,29 @@ class Arms:
         np.copyto(target, turned, where=(near & rows)[:, None, None])
 
     def _feel(self, active: list[int], dt: float) -> None:
-        """Update the contact estimators with the positions and the last commands."""
+        """Update the contact estimators with the readings and commands of all ticks, arm by arm."""
+        for i, ticks in enumerate((self._readings, self._goals[:-1], self._limits[:-1])):
+            self._series[i] = ticks.transpose(1, 0, 2)
         has_command = self._has_command.tolist()
         for row in active:
-            sent = self._sent_of[row] if has_command[row] else None
-            self._contact[row].update(self._q_of[row], dt=dt, sent=sent)
+            contact, (q, sent) = self._contact[row], self._series_of[row]
+            if has_command[row]:
+                felt = contact.update_series(q, dt=dt, sent=sent)
+            else:
+                felt = contact.update(q[0], dt=dt)
+                for reading, goal, limit in zip(q[1:], *(array[1:] for array in sent), strict=True):
+                    felt = contact.update(reading, dt=dt, sent=(goal, limit))
+            velocity, force, uncertainty = self._felt_of[row]
+            velocity[...], force[...] = felt.velocity, felt.force
+            uncertainty[...] = felt.uncertainty
+        np.minimum(self._uncertainty, MAX_WRENCH, out=self._uncertainty)
 
-    def _advance(self, active: list[int], rows: Mask, dt: float) -> None:
+    def _advance(self, active: list[int], rows: Mask, dt: float, goal: Array, limit: Array) -> None:
         """Send the commands, run the physics of one tick, and update force and progress."""
         if self._native is not None:
             native = self._native
-            native.goal[:] = self._goal
-            native.limits[:, :, 0], native.limits[:, :, 1] = -self._limit, self._limit
+            native.goal[:] = goal
+            np.multiply(limit[:, :, None], SIGNS, out=native.limits)
             native.advance(active)
             self._q[:], self._force[:], place = native.q, native.force, native.travel
         else:
@@ -260,14 +284,14 @@ class Arms:
                 plant, episode = self.plants[row], self.episodes[row]
                 assert plant is not None
                 assert episode is not None
-                plant.write(self._goal[row], self._limit[row])
+                plant.write(goal[row], limit[row])
                 plant.advance()
                 self._q[row] = plant.read().q
                 place[row], self._force[row] = self._task.measure(episode, plant)
         move = np.where(np.isnan(self._place), 0.0, place - self._place)
         progress = self._task.progress(self._progress, move, place, self._force, dt)
-        self._progress[rows], self._place[rows] = progress[rows], place[rows]
-        self._has_command[rows] = True
+        np.copyto(self._progress, progress, where=rows)
+        np.copyto(self._place, place, where=rows)
 
 
 def _rotations(vectors: Array) -> Array:

@@ -160,8 +160,9 @@ class VectorTaskEnv(gymnasium.vector.VectorEnv[dict[str, "Array"], "Array", Any]
             block = self._blocks[i]
             return self._arms[i].step(actions[block], rows[block])
 
-        todo = range(len(self._blocks))
-        parts = list(map(run, todo) if self._pool is None else self._pool.map(run, todo))
+        if self._pool is None:
+            return run(0)
+        parts = list(self._pool.map(run, range(len(self._blocks))))
         rewards, success, failure = (np.concatenate(part) for part in zip(*parts, strict=True))
         return rewards, success, failure
 
@@ -190,13 +191,16 @@ class VectorTaskEnv(gymnasium.vector.VectorEnv[dict[str, "Array"], "Array", Any]
             **self._parameters,
         }
         infos: dict[str, Any] = {}
+        every = bool(rows.all())
         for name, value in values.items():
-            infos[name] = np.where(rows, value, np.zeros((), value.dtype))
-            infos[f"_{name}"] = rows.copy()
+            here = value.copy() if every else np.where(rows, value, np.zeros((), value.dtype))
+            infos[name], infos[f"_{name}"] = here, rows.copy()
         return infos
 
     def _observation(self) -> dict[str, Array]:
         parts = [arms.observation() for arms in self._arms]
+        if len(parts) == 1:
+            return parts[0]
         return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
     def _place(self, row: int) -> tuple[Arms, int]:

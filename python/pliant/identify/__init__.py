@@ -1,8 +1,8 @@
 """Identification of servos, delay, payload and gravity offset on the arm; and hand guiding.
 
-    >>> found = pliant.identify.identify_servos(arm, arm.model, arm.servos)       # 2 minutes
-    >>> print(found)
-    >>> controller = found.controller(arm.model, settings)
+    >>> result = pliant.identify.identify_servos(arm, arm.model, arm.servos)      # 2 minutes
+    >>> print(result)
+    >>> controller = result.controller(arm.model, settings)
     >>> pliant.identify.capture_gravity(arm, controller)                      # 4 s, moves nothing
     >>> pliant.identify.estimate_payload(arm, controller)                      # 30 s
 

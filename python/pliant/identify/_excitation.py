@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 #: Largest speed of a joint on the way between two poses [rad/s].
 TRAVEL_SPEED = 0.4
-#: Duration of each reversal of a swing, as a share of the swing's period [1].
+#: Duration of each reversal of an oscillation, as a share of its period [1].
 REVERSAL_SHARE = 0.2
 #: A joint counts as blocked if it lags behind its planned position by `tracking_tolerance` plus
 #: this angle [rad].
@@ -32,8 +32,8 @@ BLOCKED_LAG = 0.2
 SPRING_SHARE = 0.15
 #: Share of the assumed friction that is fed forward while a joint is driven by its torque limit.
 FRICTION_SHARE = 0.8
-#: A joint driven by its torque limit is stopped if it overshoots the ends of its swing too far. The
-#: allowed overshoot grows with the friction of the joint, within these bounds [rad].
+#: Bounds of the overshoot, beyond the planned amplitude, at which a joint driven by its torque
+#: limit is stopped [rad]. Between them, the allowed overshoot grows with the joint's friction.
 OVERSHOOT_RANGE = (0.06, 0.25)
 #: Minimum lead (goal minus position) of a joint driven by its torque limit [rad].
 MIN_LEAD = 0.05
@@ -145,10 +145,10 @@ class Excitation:
         return out
 
     def fit_within_limits(self, q: Array, size: Array) -> Array:
-        """Return the pose nearest to q whose swing of ±size stays within the position limits.
+        """Return the pose nearest to q at which motions by ±size stay within the position limits.
 
         Raises:
-            OutOfRangeError: The swing of a joint is wider than the range between its limits.
+            OutOfRangeError: The motion of a joint is wider than the range between its limits.
         """
         margin = LIMIT_MARGIN + size
         low, high = self.model.lower + margin, self.model.upper - margin
@@ -165,8 +165,10 @@ class Excitation:
             OutOfRangeError: The motion of a joint comes closer to a limit than `LIMIT_MARGIN`.
         """
         low, high = np.asarray(low), np.asarray(high)
-        bad = (low < self.model.lower + LIMIT_MARGIN) | (high > self.model.upper - LIMIT_MARGIN)
-        for i in np.flatnonzero(bad):
+        is_outside = (low < self.model.lower + LIMIT_MARGIN) | (
+            high > self.model.upper - LIMIT_MARGIN
+        )
+        for i in np.flatnonzero(is_outside):
             raise OutOfRangeError(
                 f"joint {self.model.joint_names[i]} would move in {low[i]:.3f}…{high[i]:.3f} rad; "
                 f"its limits are {self.model.lower[i]:.3f}…{self.model.upper[i]:.3f} rad, less "
@@ -204,7 +206,7 @@ class Excitation:
             speed: Planned speeds (N, n) [rad/s], which are only recorded.
 
         Raises:
-            ServoError: A joint is farther from its planned position than `BLOCKED_LAG` allows.
+            ServoError: A joint lags behind by more than `tracking_tolerance` plus `BLOCKED_LAG`.
         """
         for planned, rate in zip(path, speed, strict=True):
             lag = np.abs(planned - q)
@@ -244,9 +246,10 @@ class Excitation:
         return (yield from self.follow(q, path, np.zeros_like(path)))
 
     def sweep(self, q: Array, pose: Array, size: Array, seconds: float, swings: float) -> Motion:
-        """Swing all joints about a pose by ±size (n,) [rad], at constant speed between reversals.
+        """Oscillate all joints about a pose by ±size (n,) [rad]; return the last positions read.
 
-        One swing takes `seconds`; `swings` is the number of swings, which may be fractional.
+        The speed is constant between reversals. One oscillation takes `seconds`; their number
+        `swings` may be fractional.
         """
         time = np.arange(1, round(swings * seconds / self.period) + 1) * self.period
         wave, slope = triangle(time / seconds)
@@ -256,12 +259,13 @@ class Excitation:
     def drive_by_limit(
         self, q: Array, pose: Array, joint: int, size: float, timing: tuple[float, float]
     ) -> Motion:
-        """Swing one joint by setting its torque limit; the other joints hold the pose.
+        """Oscillate one joint by setting its torque limit; the other joints hold the pose.
 
         The goal is so far from the position that the servo's torque equals its limit. The limit is
         the modelled torque of gravity, friction and damping, plus a soft spring toward the planned
         position. `size` is the amplitude [rad]; `timing` is the period [s] and the number of
-        swings.
+        oscillations. A joint that overshoots is stopped and added to `undriven`. Return the last
+        positions read (n,) [rad].
         """
         seconds, swings = timing
         time = np.arange(1, round(swings * seconds / self.period) + 1) * self.period

@@ -1,4 +1,4 @@
-"""Leads (goal minus position) that hold an arm, from slow swings; stiffness by a known mass.
+"""Leads (goal minus position) that hold an arm, from slow oscillations; stiffness by a known mass.
 
 The mean of the leads in upward and downward motion is free of friction. Joint i has the lead λ
 before, and λ' after the mass m was hung on the tool:
@@ -26,8 +26,10 @@ if TYPE_CHECKING:
     from pliant._typing import Array
     from pliant.identify.procedure import Steps
 
-#: Amplitude of the joints [rad]; period [s] and number of the swings.
-AMPLITUDE, SWINGS = 0.05, (2.6, 2.75)
+#: Amplitude of the joints [rad].
+AMPLITUDE = 0.05
+#: Period [s] and number of the oscillations of all joints.
+SWINGS = (2.6, 2.75)
 #: k_p of a joint is estimated if its change of lead exceeds this many standard deviations [1].
 SIGNIFICANCE = 4.0
 #: Iterations for k_p and M; each reduces the error about tenfold.
@@ -35,10 +37,10 @@ ITERATIONS = 8
 
 
 class Leads(NamedTuple):
-    """Leads near a pose; NaN for a joint that did not swing steadily.
+    """Leads near a pose; NaN for a joint that did not move steadily.
 
     Attributes:
-        pose: Middle of the planned swings (n,) [rad].
+        pose: Middle of the planned oscillations (n,) [rad].
         size: Amplitude of the goals (n,) [rad].
         lead, sigma: Lead of each joint and its standard deviation (n,) [rad].
         gravity: Gravity torque of the model (n,) [N·m].
@@ -56,9 +58,10 @@ class Leads(NamedTuple):
 def lead_procedure(
     model: Model, servos: Servos, *, period: float, like: Leads | None = None
 ) -> Procedure[Leads]:
-    """Return a procedure that measures leads in 7 to 20 s, in the present pose or that of `like`.
+    """Return a procedure that measures leads in 7 to 20 s, in the present or an earlier pose.
 
-    `period` is the control period [s].
+    `period` is the control period [s]. `like` are leads measured earlier, whose pose and
+    amplitude are used again; None: a new pose and amplitude.
     """
     rig = Excitation(model, servos, period)
     return Procedure(lambda q: _measure(rig, q, like), model.n)
@@ -83,8 +86,8 @@ def _measure(rig: Excitation, q: Array, like: Leads | None) -> Steps[Leads]:
     rows = [(s.joint, s.direction, s.drive, s.gravity, s.payload[0]) for s in all_segments(rig)]
     table = np.array(rows).reshape(-1, 5)
     for i in range(rig.n):
-        mine = table[table[:, 0] == i]
-        up, down = mine[mine[:, 1] > 0.0, 2:], mine[mine[:, 1] < 0.0, 2:]
+        joint_rows = table[table[:, 0] == i]
+        up, down = (joint_rows[sign * joint_rows[:, 1] > 0.0, 2:] for sign in (1.0, -1.0))
         if min(len(up), len(down)) >= 2:
             means[:, i] = 0.5 * (up.mean(axis=0) + down.mean(axis=0))
             noise = sum(side[:, 0].var(ddof=1) / len(side) for side in (up, down))
@@ -96,17 +99,17 @@ def _measure(rig: Excitation, q: Array, like: Leads | None) -> Steps[Leads]:
 def solve_weight(before: Leads, after: Leads, mass: float) -> tuple[Array, Array, float]:
     """Return k_p, its standard deviation (n,) [N·m/rad], and the mass M [kg] that the model lacks.
 
-    `mass` [kg] was hung on the tool between the two measurements. k_p is NaN for joints on which it
-    has no clear effect; M is NaN if this holds for all joints.
+    `mass` [kg] was hung on the tool between the two measurements. k_p is NaN for joints whose lead
+    it does not change significantly; M is NaN if that is true of all joints.
     """
     change, sigma = after.lead - before.lead, np.hypot(before.sigma, after.sigma)
     change = np.where(np.abs(change) > SIGNIFICANCE * sigma, change, np.nan)
-    good, extra = np.isfinite(change), 0.0
+    is_significant, extra = np.isfinite(change), 0.0
     for _ in range(ITERATIONS):
         torque = after.gravity - before.gravity + (after.row - before.row) * extra
         kp = (torque + after.row * mass) / change
-        excess = (kp * before.lead - before.gravity)[good]
-        weight = 1.0 / (kp * sigma)[good] ** 2
-        row = before.row[good]
-        extra = float((weight * row) @ excess / ((weight * row) @ row)) if good.any() else np.nan
+        excess = (kp * before.lead - before.gravity)[is_significant]
+        weight = 1.0 / (kp * sigma)[is_significant] ** 2
+        row = before.row[is_significant]
+        extra = float((weight * row) @ excess / ((weight * row) @ row)) if row.size else np.nan
     return kp, np.abs(kp * sigma / change), extra

@@ -20,11 +20,14 @@ if TYPE_CHECKING:
     from pliant.identify._excitation import Excitation
 
 
-#: Number of random candidate poses, and largest gravity torque of a servo in a candidate, as a
-#: share of its maximum torque [1].
-CANDIDATES, MAX_HOLDING_SHARE = 200, 0.6
-#: Largest allowed value of the argument `span` [rad], and range of the argument `amplitude` [rad].
-SPAN, SWING = np.pi, (0.01, 0.5)
+#: Number of random candidate poses.
+CANDIDATES = 200
+#: Largest gravity torque of a servo in a candidate pose, as a share of its maximum torque [1].
+MAX_HOLDING_SHARE = 0.6
+#: Largest allowed value of the argument `span` [rad].
+MAX_SPAN = np.pi
+#: Range of the argument `amplitude` [rad].
+AMPLITUDE_RANGE = (0.01, 0.5)
 #: Largest distance by which the tool may be below its present height in a chosen pose [m].
 MAX_DROP = 0.05
 
@@ -62,10 +65,10 @@ def pose_list(
         q: Present joint positions (n,) [rad].
         poses: Number of poses, or joint positions of poses (K, n) [rad].
         span: Maximum distance of chosen poses from q, per joint [rad].
-        size: Swing of each joint about a pose (n,) [rad].
+        size: Amplitude of each joint about a pose (n,) [rad].
 
     Raises:
-        OutOfRangeError: A swing leaves the position limits.
+        OutOfRangeError: A motion by ±size about a pose leaves the position limits.
     """
     if isinstance(poses, int):
         rig.check_range(q - size, q + size)
@@ -78,9 +81,9 @@ def pose_list(
 def choose_poses(rig: Excitation, q: Array, count: int, span: float, size: Array) -> list[Array]:
     """Return `count` poses within ±span [rad] of q, q first, that determine stiffness and payload.
 
-    Poses are added one by one: each time, the random candidate that increases the determinant of
-    the information matrix of stiffness and payload most. Candidates are excluded if they lower the
-    tool by more than `MAX_DROP` or load a servo with more than `MAX_HOLDING_SHARE` of its maximum
+    Poses are added one by one. Each is the random candidate that most increases the determinant of
+    the information matrix of stiffness and payload. Candidates are excluded if they lower the tool
+    by more than `MAX_DROP` or load a servo with more than `MAX_HOLDING_SHARE` of its maximum
     torque. The poses are sorted for a short path through them.
     """
     model, rng = rig.model, np.random.default_rng(0)
@@ -93,15 +96,15 @@ def choose_poses(rig: Excitation, q: Array, count: int, span: float, size: Array
         if _height(rig, pose) > height - MAX_DROP
         and (np.abs(model.gravity(pose)) < MAX_HOLDING_SHARE * rig.torque).all()
     ]
-    chosen = [q]
+    poses = [q]
     information = np.eye(rig.n + 4) + _information(rig, q)
     pieces = [_information(rig, pose) for pose in candidates]
     for _ in range(min(count - 1, len(candidates))):
         gains = [np.linalg.slogdet(information + piece)[1] for piece in pieces]
         best = int(np.argmax(gains))
-        chosen.append(candidates[best])
+        poses.append(candidates[best])
         information = information + pieces[best]
-    return _ordered(chosen)
+    return _ordered(poses)
 
 
 def _height(rig: Excitation, q: Array) -> float:

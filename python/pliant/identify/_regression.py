@@ -1,8 +1,8 @@
 """Least-squares fit of stiffness, friction, damping and payload together; fit of the loop's delay.
 
-The first fit solves the equation of module `_segments`, linearised around the previous iteration,
-for all segments at once. The assumed values are Gaussian priors: an unknown that the data do not
-determine keeps its assumed value and standard deviation.
+The least-squares fit solves the equation in the docstring of module `_segments`, linearised around
+the previous iteration, for all segments at once. The assumed values are Gaussian priors: an unknown
+that the data do not determine keeps its assumed value and standard deviation.
 """
 
 from __future__ import annotations
@@ -24,12 +24,15 @@ if TYPE_CHECKING:
 #: `kp`: stiffness k_p [N·m/rad];
 #: `friction`: dry friction f [N·m];
 #: `load`, `motor`: increase of friction per load torque (l) and per motor torque (m) [1];
-#: `total`: viscous resistance D while the servo follows its goal [N·m·s/rad];
-#: `outer`: viscous resistance D while the torque limit is reached [N·m·s/rad];
+#: `goal_damping`: viscous resistance D while the servo follows its goal [N·m·s/rad];
+#: `limit_damping`: viscous resistance D while the torque limit drives the joint [N·m·s/rad];
 #: `inertia`: M [kg·m²];
 #: `deadband`: dead band b [rad];
 #: `scale`: relative error of the torque limit, true over commanded minus 1 [1].
-NAMES = ("kp", "friction", "load", "motor", "total", "outer", "inertia", "deadband", "scale")
+NAMES = (
+    *("kp", "friction", "load", "motor", "goal_damping", "limit_damping"),
+    *("inertia", "deadband", "scale"),
+)
 #: Standard deviation of the prior of the servo's dead band [rad]; its mean is 0.
 DEADBAND_SIGMA = 1e-3
 #: Number of iterations of the linearised fit.
@@ -50,8 +53,8 @@ class Priors:
         friction, damping: Standard deviations of friction and damping, relative to the assumed
             values [1].
         limit: Standard deviation of the ratio of true to commanded torque limit [1].
-        load: Standard deviation of the growth of friction with load, per joint or for all [1]; 0:
-            friction does not grow with load.
+        load: Standard deviation of the growth of friction with load, one per joint or one for all
+            joints [1]; 0: friction does not grow with load.
         payload: True: the payload is fitted; False: it keeps the value of the model.
     """
 
@@ -73,9 +76,10 @@ class Solution:
         sigma: Standard deviations of the unknowns (n,) by name.
         payload: Payload φ = (m, m c) (4,): mass m [kg], and mass times centre of mass c [kg·m].
         payload_covariance: Covariance of φ (4, 4).
-        separated: Share by which the data reduce the prior standard deviation of φ, along the four
-            principal directions (4,): 0: not at all; 1: to zero.
-        spread: Root mean square of the residuals over their assumed standard deviations [1].
+        sigma_reduction: Share by which the data reduce the prior standard deviation of φ, along
+            four orthogonal directions of the scaled φ (4,): 0: not at all; 1: to zero.
+        residual_ratio: Root mean square of the residuals over their assumed standard deviations
+            [1].
         rows: Number of fitted segments.
     """
 
@@ -83,8 +87,8 @@ class Solution:
     sigma: dict[str, Array]
     payload: Array
     payload_covariance: Array
-    separated: Array
-    spread: float
+    sigma_reduction: Array
+    residual_ratio: float
     rows: int
 
 
@@ -121,7 +125,7 @@ def predict_torque(segment: Segment, solution: Solution) -> float:
     load = segment.gravity + float(segment.payload @ solution.payload)
     motor = abs(segment.drive) * (1.0 if segment.by_limit else value["kp"][i])
     dry = value["friction"][i] + value["load"][i] * abs(load) + value["motor"][i] * motor
-    viscous = value["outer" if segment.by_limit else "total"][i] * segment.speed
+    viscous = value["limit_damping" if segment.by_limit else "goal_damping"][i] * segment.speed
     return float(
         load + segment.direction * dry + viscous + value["inertia"][i] * segment.acceleration
     )
@@ -147,7 +151,7 @@ def _fit(
             load += float(segment.payload @ last.payload)
         if segment.by_limit:
             row[column["scale"] + i] = segment.drive
-            row[column["outer"] + i] = -segment.speed
+            row[column["limit_damping"] + i] = -segment.speed
             right[k] = segment.gravity - segment.drive
         else:
             # Multiply k_p by the predicted, not the measured lead (goal minus position): noise of
@@ -155,7 +159,7 @@ def _fit(
             torque = kp[i] * segment.drive if last is None else predict_torque(segment, last)
             row[column["kp"] + i] = torque / kp[i]
             row[column["deadband"] + i] = -kp[i] * np.sign(torque)
-            row[column["total"] + i] = -segment.speed
+            row[column["goal_damping"] + i] = -segment.speed
             right[k] = segment.gravity + torque - kp[i] * segment.drive
         row[column["friction"] + i] = -segment.direction
         row[column["load"] + i] = -segment.direction * abs(load)
@@ -181,8 +185,9 @@ def _fit(
     x = mean + sd * delta
     residual = right - design @ x
     effective_parameters = float(np.trace(information @ covariance))
-    spread = float(np.sqrt(residual @ residual / max(len(segments) - effective_parameters, 1.0)))
-    covariance = covariance * max(spread, 1.0) ** 2
+    freedom = max(len(segments) - effective_parameters, 1.0)
+    residual_ratio = float(np.sqrt(residual @ residual / freedom))
+    covariance = covariance * max(residual_ratio, 1.0) ** 2
     deviation = sd * np.sqrt(np.minimum(np.diag(covariance), 1.0))
     value = {name: x[column[name] : column[name] + n] for name in NAMES}
     value["scale"] = 1.0 + value["scale"]
@@ -192,8 +197,8 @@ def _fit(
         sigma={name: deviation[column[name] : column[name] + n] for name in NAMES},
         payload=x[-4:],
         payload_covariance=covariance[-4:, -4:] * np.outer(sd[-4:], sd[-4:]),
-        separated=1.0 - np.sqrt(np.clip(eigenvalues, 0.0, 1.0)),
-        spread=spread,
+        sigma_reduction=1.0 - np.sqrt(np.clip(eigenvalues, 0.0, 1.0)),
+        residual_ratio=residual_ratio,
         rows=len(segments),
     )
 
@@ -207,20 +212,24 @@ def _prior(
     """
     n = rig.n
     mean, sd = np.zeros(width), np.full(width, 1e-9)
-    outer = rig.damping + rig.back_emf
-    for name, centre, error in (
+    damping = rig.damping + rig.back_emf
+    for name, centre, sigma in (
         ("kp", rig.kp, priors.kp * rig.kp),
         ("friction", rig.friction, priors.friction * np.maximum(rig.friction, 0.01 * rig.torque)),
         ("load", 0.0, np.maximum(priors.load, 1e-9)),
         ("motor", 0.0, np.maximum(priors.load, 1e-9)),
         ("deadband", 0.0, DEADBAND_SIGMA),
-        ("total", outer + rig.kv, priors.damping * (outer + rig.kv + 0.02 * rig.torque)),
-        ("outer", outer, priors.damping * (outer + 0.02 * rig.torque)),
+        (
+            "goal_damping",
+            damping + rig.kv,
+            priors.damping * (damping + rig.kv + 0.02 * rig.torque),
+        ),
+        ("limit_damping", damping, priors.damping * (damping + 0.02 * rig.torque)),
         ("inertia", 0.0, 0.01 * rig.kp),
         ("scale", 0.0, priors.limit),
     ):
         columns = slice(column[name], column[name] + n)
-        mean[columns], sd[columns] = centre, error
+        mean[columns], sd[columns] = centre, sigma
     if priors.payload:
         model = rig.model
         weight = float(np.linalg.norm(model.gravity_vector)) or 1.0
@@ -232,9 +241,12 @@ def _prior(
     return mean, sd
 
 
-#: The fit of the delay tries delays up to `MAX_DELAY` in steps of `TIME_STEP`, which is also the
-#: step of its simulation. It compares step responses for `COMPARED_TIME` [s each].
-MAX_DELAY, TIME_STEP, COMPARED_TIME = 0.08, 0.001, 0.06
+#: Largest delay that the fit of the delay tries [s].
+MAX_DELAY = 0.08
+#: Difference of the delays that are tried, and time step of the simulated step responses [s].
+TIME_STEP = 0.001
+#: Time for which simulated and measured step responses are compared [s].
+COMPARED_TIME = 0.06
 #: Joint inertias that are tried in the fit of the delay, divided by the stiffness k_p [s²].
 INERTIAS = np.geomspace(0.008, 0.12, 28) ** 2
 
@@ -309,8 +321,8 @@ def _misfit(
     q, goal, limit, _ = (rows[:, joint] for rows in record.arrays())
     value = {name: float(array[joint]) for name, array in solution.value.items()}
     delay, inertia = (x.ravel() for x in np.meshgrid(grid, INERTIAS * value["kp"], indexing="ij"))
-    outer = max(value["outer"], 0.0)
-    inner = np.maximum(value["total"] - outer - value["kp"] * delay, 0.0)
+    damping = max(value["limit_damping"], 0.0)
+    servo_damping = np.maximum(value["goal_damping"] - damping - value["kp"] * delay, 0.0)
     dry = max(value["friction"], 0.0)
     jumps = np.flatnonzero(np.abs(np.diff(goal)) > 0.0) + 1
     cost, ticks = np.zeros(delay.size), max(round(COMPARED_TIME / rig.period), 5)
@@ -324,9 +336,9 @@ def _misfit(
             for sub in range(per_tick):
                 now = (tick * per_tick + sub) * dt
                 target = np.where(now >= delay - 1e-9, goal[k], goal[k - 1])
-                torque = value["kp"] * (target - position) - inner * speed
+                torque = value["kp"] * (target - position) - servo_damping * speed
                 torque = np.clip(torque, -limit[k], limit[k]) - gravity
-                speed = (speed + dt / inertia * torque) / (1.0 + dt / inertia * outer)
+                speed = (speed + dt / inertia * torque) / (1.0 + dt / inertia * damping)
                 slip = np.maximum(np.abs(speed) - dt / inertia * dry, 0.0)
                 speed = np.sign(speed) * slip
                 position = position + dt * speed

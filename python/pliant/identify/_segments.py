@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 SPEED_WINDOW, MIN_LENGTH = 0.12, 0.16
 #: A motion counts as steady if measured over planned speed is between these bounds [1].
 STEADY_RATIO = (0.5, 1.6)
-#: Segments whose torque exceeds this share of its limit are dropped, as it may have been limited
-#: [1].
+#: Segments whose torque exceeds this share of the torque limit are dropped, because the limit may
+#: have reduced it [1].
 LIMIT_SHARE = 0.7
 
 
@@ -75,8 +75,8 @@ def payload_rows(model: Model, q: ArrayLike) -> Array:
     """
     pose, jacobian = model.kinematics(q)
     g = np.asarray(model.gravity_vector)
-    turned = np.cross(pose[:3, :3].T, g)  # rows: column k of the rotation × gravity
-    return np.column_stack([-jacobian[:3].T @ g, -jacobian[3:].T @ turned.T])
+    columns = np.cross(pose[:3, :3].T, g)  # rows: column k of the rotation × gravity
+    return np.column_stack([-jacobian[:3].T @ g, -jacobian[3:].T @ columns.T])
 
 
 def bare_gravity(model: Model, q: ArrayLike) -> Array:
@@ -108,8 +108,8 @@ def find_segments(rig: Excitation, record: Record) -> list[Segment]:
             continue
         full = np.abs(planned[:, joint]) > 0.98 * top
         ratio = speed[:, joint] / np.where(full, planned[:, joint], 1.0)
-        good = full & (ratio > STEADY_RATIO[0]) & (ratio < STEADY_RATIO[1])
-        for start, end in true_ranges(good):
+        is_steady = full & (ratio > STEADY_RATIO[0]) & (ratio < STEADY_RATIO[1])
+        for start, end in true_ranges(is_steady):
             row = _average(rig, record, joint, (start, end), (q, goal, limit))
             if row is not None:
                 out.append(row)

@@ -22,12 +22,15 @@ if TYPE_CHECKING:
     from pliant.identify.procedure import Arm, Steps, Tick
 
 
-#: Integral gain of the goals while the arm is held [1/s]. Positions and goals are averaged over the
-#: last share `AVERAGED_SHARE` of the holding time [1].
-INTEGRATION_RATE, AVERAGED_SHARE = 4.0, 0.25
+#: Integral gain of the goals while the arm is held [1/s].
+INTEGRATION_RATE = 4.0
+#: Last part of the holding time in which positions and goals are averaged, as a share of it [1].
+AVERAGED_SHARE = 0.25
 #: If the check fails, it is repeated with these shares of the friction and damping feed-forward
-#: [1]. Before each repetition, the arm is held stiffly for `HOLD_TIME` [s].
-REDUCED_SHARES, HOLD_TIME = (0.5, 0.0), 0.5
+#: [1].
+REDUCED_SHARES = (0.5, 0.0)
+#: Time for which the arm is held stiffly before each repetition of the check [s].
+HOLD_TIME = 0.5
 #: Speed of the tool below which the arm counts as at rest [m/s].
 REST_SPEED = 2e-3
 #: Bounds to which `Controller.capture_gravity` clips the ratio of measured to assumed stiffness.
@@ -109,7 +112,8 @@ class GravityCapture:
     def _advice(self) -> str:
         if self.remedy is None:
             return (
-                "weigh the payload or identify the servos, or lower eta, before you let it yield."
+                "weigh the payload, identify the servos or lower `adaptation` before you let it "
+                "yield."
             )
         friction, damping = self.remedy.compensation.friction, self.remedy.compensation.damping
         return (
@@ -125,7 +129,7 @@ class GravityCapture:
 def _make_procedure(
     controller: Controller, *, seconds: float = 2.0, check: float = 2.0, bound: float = 2e-3
 ) -> Procedure[GravityCapture]:
-    """Return the `Procedure` that `capture_gravity` runs, to be stepped by another control loop."""
+    """Return the `Procedure` that `capture_gravity` runs; another control loop can step it."""
     servos = instance(controller, Controller, "controller").servos
     if servos is None:
         raise ConfigError(
@@ -149,13 +153,14 @@ def capture_gravity(
     bound: float = 2e-3,
     loop: Iterable[Tick] | None = None,
 ) -> GravityCapture:
-    """Measure the gravity offset at the present pose, in 4 to 9 s. Do not touch the arm.
+    """Measure the gravity offset at the present pose. Do not touch the arm.
 
     The controller holds every task axis with an integrator in the goals, without feed-forward of
     friction and damping (with feed-forward, the integrator would oscillate). The mean positions and
     goals go to `Controller.capture_gravity`. Then the settings are restored, also after an error,
     and the controller holds the arm as a check. If the arm moves, it is stopped, and the check is
-    repeated with half of the feed-forward and without feed-forward.
+    repeated with half of the feed-forward and without feed-forward. All this takes 4 to 9 s by
+    default.
 
     Args:
         arm: The arm, at rest; simulated or connected and enabled.
@@ -164,6 +169,9 @@ def capture_gravity(
         check: Duration of the check [s]; 0 for no check.
         bound: Maximum motion of the tool in the check [m].
         loop: Your own control loop, which yields its ticks; None: a loop at the controller's rate.
+
+    Returns:
+        Measured leads and stiffness of each joint, and the result of the check.
 
     Raises:
         ConfigError: The controller has no servo parameters.
@@ -179,17 +187,17 @@ def _capture(
     controller: Controller, servos: Servos, q: Array, numbers: tuple[float, float, float]
 ) -> Steps[GravityCapture]:
     seconds, check, bound = numbers
-    model, before = controller.model, controller.settings
+    model, settings = controller.model, controller.settings
     stiff = Settings(
-        task=before.task,
-        rate=before.rate,
-        delay=before.delay,
+        task=settings.task,
+        rate=settings.rate,
+        delay=settings.delay,
         tracking=Tracking(integrate=INTEGRATION_RATE),
         compensation=Compensation(friction=0.0, damping=0.0),
     )
     controller.reset(q)
     target = model.forward_kinematics(q)
-    ticks = round(seconds * before.rate)
+    ticks = round(seconds * settings.rate)
     samples: list[tuple[Array, Array]] = []
     controller.update(stiff)
     try:
@@ -198,22 +206,22 @@ def _capture(
             samples.append((q, command.goal))
             q = yield command
         tail = samples[-max(round(AVERAGED_SHARE * ticks), 1) :]
-        where, goal = (np.mean([pair[k] for pair in tail], axis=0) for k in (0, 1))
-        stiffness = controller.capture_gravity(where, goal)
+        mean_q, goal = (np.mean([pair[k] for pair in tail], axis=0) for k in (0, 1))
+        stiffness = controller.capture_gravity(mean_q, goal)
     finally:
-        controller.update(before)
+        controller.update(settings)
     first, last = (model.forward_kinematics(tail[k][0])[:3, 3] for k in (0, -1))
-    counts = float(np.abs(model.jacobian(where)[:3] * np.asarray(servos.encoder_step)).sum())
-    still = float(np.linalg.norm(last - first)) < REST_SPEED * seconds * AVERAGED_SHARE + counts
+    resolution = float(np.abs(model.jacobian(mean_q)[:3] * np.asarray(servos.encoder_step)).sum())
+    still = float(np.linalg.norm(last - first)) < REST_SPEED * seconds * AVERAGED_SHARE + resolution
     drift, remedy = np.nan, None
     if check > 0.0:
-        drift, q = yield from _hold_and_measure(controller, q, round(check * before.rate), bound)
+        drift, q = yield from _hold_and_measure(controller, q, round(check * settings.rate), bound)
         if drift > bound:
             remedy = yield from _find_remedy(controller, q, (check, bound), stiff)
     assumed = np.array(servos.kp)
     lead, gravity = (
-        goal - where,
-        np.asarray(controller.diagnostics.gravity if check else model.gravity(where)),
+        goal - mean_q,
+        np.asarray(controller.diagnostics.gravity if check else model.gravity(mean_q)),
     )
     measured = np.abs(gravity) > 3.0 * np.asarray(servos.friction)
     ratio = stiffness / assumed
@@ -241,16 +249,16 @@ def _find_remedy(
     controller are restored at the end.
     """
     check, bound = numbers
-    before = controller.settings
-    ticks, rest = round(check * before.rate), round(HOLD_TIME * before.rate)
+    settings = controller.settings
+    ticks, rest = round(check * settings.rate), round(HOLD_TIME * settings.rate)
     try:
         for share in REDUCED_SHARES:
             controller.update(stiff)
             _, q = yield from _hold_and_measure(controller, q, rest)
-            reduced = before.replace(
+            reduced = settings.replace(
                 compensation=Compensation(
-                    friction=share * before.compensation.friction,
-                    damping=share * before.compensation.damping,
+                    friction=share * settings.compensation.friction,
+                    damping=share * settings.compensation.damping,
                 ),
             )
             controller.update(reduced)
@@ -260,7 +268,7 @@ def _find_remedy(
         controller.update(stiff)
         yield from _hold_and_measure(controller, q, rest)
     finally:
-        controller.update(before)
+        controller.update(settings)
     return None
 
 

@@ -1,6 +1,6 @@
 """Hand guiding: the arm feels weightless and rests when released; k_p need not be exact.
 
-k_p [N·m/rad] is the stiffness of the servos. The arm first swings each joint a little up and down.
+k_p [N·m/rad] is the stiffness of the servos. The arm first moves each joint a little up and down.
 The lead (goal minus position, [rad]) differs between the two directions: its mean lead₀ holds the
 joint against the gravity torque g₀ [N·m], and half the difference is the friction ρ [rad]. Neither
 depends on k_p. Then the goals follow the arm with a play w [rad], like a drive with backlash. For
@@ -41,13 +41,13 @@ if TYPE_CHECKING:
 #: Factor by which the assumed stiffness may be wrong in either direction [1], with
 #: `stiffness_known` True and False.
 KNOWN_STIFFNESS_FACTOR, UNKNOWN_STIFFNESS_FACTOR = 1.1, 2.2
-#: Amplitude of the joints in the first swing [rad].
+#: Amplitude of the joints in the initial oscillation [rad].
 SWING = 0.04
 #: Torque with which a joint can resist a hand, as a share of the maximum torque [1].
 TORQUE_SHARE = 0.3
-#: Time for which the arm rests after the first swing [s].
+#: Time for which the arm rests after the initial oscillation [s].
 REST_TIME = 0.4
-#: Value of `HandGuiding.play`, the backlash between arm and goal, before the first swing [rad].
+#: Value of `HandGuiding.play`, the backlash between arm and goal, until it is computed [rad].
 INITIAL_PLAY = 2e-3
 
 
@@ -60,7 +60,8 @@ class HandGuiding:
             10 % with `stiffness_known=True`, else by a factor of 2.2.
         rate: Control rate [Hz] if `step` gets no `dt`.
         delay: Time from reading the positions to the arrival of the goal at the servos [s].
-        payload: Payload in addition to that of the model: a `pliant.Payload` or (mass, com).
+        payload: Payload in addition to the payload of the model: a `pliant.Payload`, or mass [kg]
+            and centre of mass (3,) [m].
 
     Raises:
         ConfigError: There are no servo parameters, or `payload` is invalid.
@@ -111,12 +112,12 @@ class HandGuiding:
 
     @property
     def ready(self) -> bool:
-        """True once the first swing is over; do not touch the arm before."""
+        """True once the initial oscillation is over; do not touch the arm before."""
         return self._law is not None
 
     @property
     def play(self) -> Array:
-        """Present play (backlash) of each joint: the goal follows beyond ±play only (n,) [rad]."""
+        """Backlash w (n,) [rad] between joints and goals, as in the module's docstring."""
         return np.full(self._n, INITIAL_PLAY) if self._law is None else self._law.play
 
     @property
@@ -128,9 +129,9 @@ class HandGuiding:
         return np.array([self._rig.kp / factor, self._rig.kp * factor])
 
     def reset(self, q: ArrayLike) -> None:
-        """Restart at positions q (n,) [rad] with the first swing; all learned values are lost."""
+        """Restart at positions q (n,) [rad] with the initial oscillation; all results are lost."""
         q = self._positions(q)
-        # Clip the period, because `Excitation` rejects that of a very early or late first tick.
+        # Clip the period: a very early or late first tick gives one that `Excitation` rejects.
         period = min(max(self._dt, 1e-3), 0.1)
         self._rig = Excitation(
             self._model, self._table, period, stiffness_uncertainty=self._stiffness_factor
@@ -142,7 +143,7 @@ class HandGuiding:
     def step(self, q: ArrayLike, *, dt: float | None = None) -> Command:
         """Return goals and torque limits for measured positions q (n,) [rad].
 
-        The first call starts the first swing, whose period is the `dt` of this call.
+        The first call starts the initial oscillation, with its `dt` as control period.
 
         Args:
             q: Measured positions (n,) [rad].
@@ -150,9 +151,9 @@ class HandGuiding:
 
         Raises:
             ShapeError: q is not n finite numbers; nothing has changed.
-            OutOfRangeError: `dt` is out of range, or the first swing would leave the position
-                limits.
-            ServoError: A joint does not follow the first swing.
+            OutOfRangeError: `dt` is out of range, or the initial oscillation would leave the
+                position limits.
+            ServoError: A joint does not follow the initial oscillation.
         """
         q = self._positions(q)
         self._dt = self._period if dt is None else number(dt, "dt", 1e-6, 1.0, "s")
@@ -168,7 +169,7 @@ class HandGuiding:
         return self._command
 
     def _swing_procedure(self, q: Array) -> Steps[Array]:
-        """Swing all joints slowly, move back to the start and rest; return the last positions."""
+        """Oscillate all joints slowly, return to the start and rest; return the last positions."""
         rig, home = self._rig, q
         _, q = yield from widen_swing(rig, q, SWING)
         for _ in range(round(REST_TIME / rig.period)):
@@ -184,7 +185,7 @@ class HandGuiding:
         middle = 0.5 * (1.0 / (factor * rig.kp) + factor / rig.kp)
         base = self._holding_torque(q)
         rows = all_segments(rig)
-        # Initial values, for joints that did not swing: friction of the servo parameters.
+        # Joints that did not move steadily get the friction of the servo parameters.
         lead, friction = np.zeros(n), rig.friction * middle
         swung = np.zeros(n, dtype=bool)
         for i in range(n):

@@ -1,4 +1,4 @@
-"""Estimation of the payload at the tool from slow swings of the joints in several poses."""
+"""Estimation of the payload at the tool from slow oscillations of the joints in several poses."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from pliant._core import ConfigError, Controller, ServoError
 from pliant._validation import instance, number
 from pliant.identify._excitation import Excitation
-from pliant.identify._poses import SPAN, SWING, check_poses, pose_list
+from pliant.identify._poses import AMPLITUDE_RANGE, MAX_SPAN, check_poses, pose_list
 from pliant.identify._regression import Priors, solve
 from pliant.identify._segments import all_segments
 from pliant.identify.procedure import Procedure, guided, run_procedure
@@ -35,16 +35,19 @@ def _make_procedure(
     span: float = 0.3,
     amplitude: float = 0.05,
 ) -> Procedure[PayloadEstimate]:
-    """Return the `Procedure` that `estimate_payload` runs, to be stepped by another loop."""
+    """Return the `Procedure` that `estimate_payload` runs; another control loop can step it."""
     servos = instance(controller, Controller, "controller").servos
     if servos is None:
         raise ConfigError(
             "the estimate of a payload needs servos: Controller(model, settings, servos=…)"
         )
     rig = Excitation(controller.model, servos, 1.0 / controller.settings.rate)
-    numbers = number(span, "span", 0.0, SPAN, "rad"), number(amplitude, "amplitude", *SWING, "rad")
-    chosen = check_poses(poses, rig.n)
-    return Procedure(lambda q: _estimate(rig, controller, q, chosen, numbers), rig.n)
+    numbers = (
+        number(span, "span", 0.0, MAX_SPAN, "rad"),
+        number(amplitude, "amplitude", *AMPLITUDE_RANGE, "rad"),
+    )
+    checked_poses = check_poses(poses, rig.n)
+    return Procedure(lambda q: _estimate(rig, controller, q, checked_poses, numbers), rig.n)
 
 
 @guided(_make_procedure)
@@ -59,18 +62,21 @@ def estimate_payload(
 ) -> PayloadEstimate:
     """Estimate the payload at the tool; if one is found, set it in the controller.
 
-    A slow swing about every pose, a few seconds each, passes the pose in both directions, so that
-    friction and delay cancel. Do not touch the arm.
+    The joints oscillate slowly about every pose for a few seconds and pass it in both directions,
+    so that friction and delay cancel. Do not touch the arm.
 
     Args:
         arm: The arm, at rest; simulated or connected and enabled.
-        controller: Controller that gets the payload, in place of that of the model, if one is
-            found. The controller is reset at the final positions in any case.
+        controller: Controller, whose payload is replaced by the estimate if one is found. The
+            controller is reset at the final positions in any case.
         poses: Number of poses to choose within `span`, or joint positions of poses (K, n) [rad].
         span: Maximum distance of chosen poses from the present pose, per joint [rad].
-        amplitude: Amplitude of the joints about each pose [rad]; the goals swing more, because
+        amplitude: Amplitude of the joints about each pose [rad]; the goals move more, because
             friction absorbs a part.
         loop: Your own control loop, which yields its ticks; None: a loop at the controller's rate.
+
+    Returns:
+        Mass and centre of mass, with standard deviations.
 
     Raises:
         ConfigError: The controller has no servo parameters.
@@ -101,8 +107,8 @@ def _estimate(
     if not rows:
         raise ServoError("no joint ever moved steadily: raise amplitude")
     kp = KNOWN_STIFFNESS_SIGMA if rig.servos.stiffness_known else UNKNOWN_STIFFNESS_SIGMA
-    found = PayloadEstimate.of(solve(rig, rows, Priors(kp=kp)))
-    if found.found:
-        controller.set_payload(found.mass, found.com)
+    estimate = PayloadEstimate.of(solve(rig, rows, Priors(kp=kp)))
+    if estimate.found:
+        controller.set_payload(estimate.mass, estimate.com)
     controller.reset(q)
-    return found
+    return estimate

@@ -1,4 +1,4 @@
-"""Results of identification: payload, servos and delay, with error bars and a summary."""
+"""Results of identification: payload, servos and delay, with standard deviations and a summary."""
 
 from __future__ import annotations
 
@@ -13,28 +13,32 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from pliant._core import Model, Servos, Settings
-    from pliant._typing import Array
+    from pliant._typing import Array, Mask
     from pliant.identify._excitation import Excitation
     from pliant.identify._regression import Delay, Solution
 
 
-#: Value of `PayloadEstimate.separated` from which on a direction counts as determined by the data.
-MIN_SEPARATION = 0.5
+#: Largest standard deviation of the stiffness of a joint that counts as identified, as a share of
+#: the stiffness [1].
+KNOWN_SIGMA = 0.1
+#: Smallest `PayloadEstimate.sigma_reduction` of a direction that the data determine [1].
+MIN_REDUCTION = 0.5
 
 
 @dataclass(frozen=True)
 class PayloadEstimate:
-    """An estimated payload with error bars.
+    """An estimated payload with standard deviations.
 
     Attributes:
         mass: Mass [kg], at least 0.
         mass_sigma: Standard deviation of the mass [kg].
         com: Centre of mass (3,) in the tool frame [m]; 0 if no payload was found.
-        com_sigma: Standard deviations of the centre (3,) [m].
+        com_sigma: Standard deviations of the centre (3,) [m]; ∞ if no payload was found.
         moments: Fitted mass, and mass times centre of mass (4,) [kg, kg·m].
         covariance: Covariance of `moments` (4, 4).
-        separated: Share by which the data reduce the standard deviation that was assumed before the
-            fit, along four directions of `moments` (4,): 0: not at all; 1: to zero.
+        sigma_reduction: Share by which the data reduce the standard deviation that was assumed
+            before the fit, along four orthogonal directions of the scaled `moments` (4,), in
+            descending order: 0: not at all; 1: to zero.
     """
 
     mass: float
@@ -43,7 +47,7 @@ class PayloadEstimate:
     com_sigma: Array
     moments: Array
     covariance: Array
-    separated: Array
+    sigma_reduction: Array
 
     @classmethod
     def of(cls, solution: Solution) -> PayloadEstimate:
@@ -56,9 +60,8 @@ class PayloadEstimate:
             com = moments[1:] / mass
             slope = np.column_stack([-com, np.eye(3)]) / mass
             com_sigma = np.sqrt(np.diag(slope @ covariance @ slope.T))
-        return cls(
-            mass, sigma, com, com_sigma, moments, covariance, np.sort(solution.separated)[::-1]
-        )
+        reduction = np.sort(solution.sigma_reduction)[::-1]
+        return cls(mass, sigma, com, com_sigma, moments, covariance, reduction)
 
     @property
     def found(self) -> bool:
@@ -83,12 +86,12 @@ class PayloadEstimate:
                 f"payload {self.mass:.3f} ± {2 * self.mass_sigma:.3f} kg, centre {where} mm in the "
                 "tool frame (95 %)."
             ]
-        weak = int((self.separated < MIN_SEPARATION).sum())
-        if weak:
+        undetermined = int((self.sigma_reduction < MIN_REDUCTION).sum())
+        if undetermined:
             out.append(
-                f"{weak} of the 4 numbers of the payload (mass and centre) cannot be told from "
-                "these poses and stay near the assumed values: allow a larger span or give poses "
-                "that turn the tool against gravity."
+                f"{undetermined} of the 4 numbers of the payload (mass and centre) cannot be told "
+                "from these poses and stay near the assumed values: allow a larger span or give "
+                "poses that turn the tool against gravity."
             )
         return out
 
@@ -101,14 +104,14 @@ class Identification:
         servos: Servo parameters for a `Controller`, with the identified `kp`, `friction`, `damping`
             and `kv`, and `load_friction` if it is significant. `stribeck` is not identified and is
             0.
-        errors: Standard deviations (n,) of `kp`, of `friction` at the load of the pose, and of
-            `load_friction`, `damping` and `kv`, in the units of `Servos`.
+        sigma: Standard deviations (n,) of `kp`, of `friction` at the load of the pose, and of
+            `load_friction`, `damping` and `kv`, by name, in the units of `Servos`.
         load: Absolute gravity torque at the present pose (n,) [N·m].
         delay: Time from reading the positions to the arrival of the goal at the servos [s].
         delay_sigma: Standard deviation of the delay [s].
         payload: Estimated payload of the tool.
-        spread: Root mean square of the residuals over the assumed noise of friction and encoder
-            [1]. A value well above 1 means that the model misses an effect.
+        residual_ratio: Root mean square of the residuals over the assumed noise of friction and
+            encoder [1]. A value well above 1 means that the model misses an effect.
         undriven: Names of joints that could not be driven by their torque limits; their stiffness
             follows from gravity alone.
         joint_names: Names of the joints.
@@ -116,12 +119,12 @@ class Identification:
     """
 
     servos: Servos
-    errors: dict[str, Array]
+    sigma: dict[str, Array]
     load: Array
     delay: float
     delay_sigma: float
     payload: PayloadEstimate
-    spread: float
+    residual_ratio: float
     undriven: tuple[str, ...]
     joint_names: tuple[str, ...]
     assumed: Servos
@@ -133,11 +136,12 @@ class Identification:
         """Return the servo parameters, delay and payload of a fit at positions `home` (n,) [rad].
 
         `damping` excludes the back-EMF of PWM-limited servos, which `no_load_speed` covers. `kv` is
-        the total resistance [N·m·s/rad] minus damping, back-EMF, and `kp` times the delay.
+        the viscous resistance of a joint that follows its goal [N·m·s/rad], minus `damping`,
+        back-EMF, and `kp` times the delay.
         """
         value, sigma = solution.value, solution.sigma
-        outer = np.maximum(value["outer"], 0.0)
-        kv = np.maximum(value["total"] - outer - value["kp"] * delay.seconds, 0.0)
+        damping = np.maximum(value["limit_damping"], 0.0)
+        kv = np.maximum(value["goal_damping"] - damping - value["kp"] * delay.seconds, 0.0)
         load = np.abs(np.asarray(rig.model.gravity(home)) + rig.extra_torque)
         share = value["load"] + value["motor"]
         share_sigma = np.hypot(sigma["load"], sigma["motor"])
@@ -145,8 +149,8 @@ class Identification:
         speed = rig.servos.no_load_speed
         if speed is not None:
             # If the measured damping is below the assumed back-EMF, raise the no-load speed.
-            min_speed = rig.torque / np.maximum(outer, 1e-6 * rig.torque)
-            speed = np.where(outer < rig.back_emf, min_speed, np.asarray(speed))
+            min_speed = rig.torque / np.maximum(damping, 1e-6 * rig.torque)
+            speed = np.where(damping < rig.back_emf, min_speed, np.asarray(speed))
         servos = rig.servos.replace(
             no_load_speed=speed,
             kp=np.maximum(value["kp"], 0.05 * rig.kp),
@@ -154,31 +158,38 @@ class Identification:
             load_friction=share,
             stribeck=0.0,
             load_stribeck=0.0,
-            damping=np.maximum(outer - rig.back_emf, 0.0),
+            damping=np.maximum(damping - rig.back_emf, 0.0),
             kv=kv,
-            stiffness_known=bool((sigma["kp"] < 0.1 * value["kp"]).all()),
         )
-        errors = {
-            "kp": sigma["kp"],
+        servo_sigma = {
+            # A fit below the smallest accepted stiffness is wrong by at least the difference.
+            "kp": np.maximum(sigma["kp"], servos.kp - value["kp"]),
             "friction": np.hypot(sigma["friction"], share_sigma * load),
             "load_friction": share_sigma,
-            "damping": sigma["outer"],
+            "damping": sigma["limit_damping"],
             "kv": np.sqrt(
-                sigma["total"] ** 2 + sigma["outer"] ** 2 + (value["kp"] * delay.sigma) ** 2
+                sigma["goal_damping"] ** 2
+                + sigma["limit_damping"] ** 2
+                + (value["kp"] * delay.sigma) ** 2
             ),
         }
         return cls(
-            servos=servos,
-            errors=errors,
+            servos=servos.replace(stiffness_known=bool(_is_known(servos, servo_sigma).all())),
+            sigma=servo_sigma,
             load=load,
             delay=delay.seconds,
             delay_sigma=delay.sigma,
             payload=PayloadEstimate.of(solution),
-            spread=solution.spread,
+            residual_ratio=solution.residual_ratio,
             undriven=tuple(rig.model.joint_names[i] for i in sorted(set(rig.undriven))),
             joint_names=tuple(rig.model.joint_names),
             assumed=rig.servos,
         )
+
+    @property
+    def stiffness_known(self) -> Mask:
+        """Mask (n,) of the joints whose stiffness is identified: standard deviation below 10 %."""
+        return _is_known(self.servos, self.sigma)
 
     @property
     def friction(self) -> Array:
@@ -203,9 +214,9 @@ class Identification:
         for i, name in enumerate(self.joint_names):
             kp, friction = float(servos.kp[i]), float(self.friction[i])
             text = (
-                f"{name}: k_p {kp:.3g} ± {2 * self.errors['kp'][i]:.2g} N·m/rad "
+                f"{name}: k_p {kp:.3g} ± {2 * self.sigma['kp'][i]:.2g} N·m/rad "
                 f"({kp / assumed_values[0][i]:.2f} × assumed), "
-                f"friction {friction:.3g} ± {2 * self.errors['friction'][i]:.2g} N·m "
+                f"friction {friction:.3g} ± {2 * self.sigma['friction'][i]:.2g} N·m "
                 f"(assumed {assumed_values[1][i]:.3g}), damping {servos.damping[i]:.3g} outside "
                 f"the limit and {servos.kv[i]:.2g} N·m·s/rad inside"
             )
@@ -218,8 +229,7 @@ class Identification:
             "arrival of the goal."
         )
         out += self.payload.summary()
-        unsure = self.errors["kp"] > 0.1 * np.asarray(servos.kp)
-        for name in np.asarray(self.joint_names)[unsure]:
+        for name in np.asarray(self.joint_names)[~self.stiffness_known]:
             out.append(
                 f"{name}: k_p is not known within 10 %; its load hardly changes "
                 "between these poses."
@@ -228,12 +238,17 @@ class Identification:
             f"{name} could not be driven by its torque limit; its k_p rests on gravity alone."
             for name in self.undriven
         ]
-        if self.spread > 2.0:
+        if self.residual_ratio > 2.0:
             out.append(
-                f"residuals are {self.spread:.1f} × what friction and encoder explain: play, a "
-                "wrong mass in the model, or a hand on the arm."
+                f"residuals are {self.residual_ratio:.1f} × what friction and encoder explain: "
+                "play, a wrong mass in the model, or a hand on the arm."
             )
         return out
 
     def __str__(self) -> str:
         return "\n".join(self.summary())
+
+
+def _is_known(servos: Servos, sigma: dict[str, Array]) -> Mask:
+    known: Mask = sigma["kp"] < KNOWN_SIGMA * np.asarray(servos.kp)
+    return known

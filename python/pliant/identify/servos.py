@@ -9,7 +9,7 @@ import numpy as np
 from pliant._core import ConfigError, Model, ServoError, Servos
 from pliant._validation import instance, number
 from pliant.identify._excitation import Excitation
-from pliant.identify._poses import SPAN, SWING, check_poses, pose_list
+from pliant.identify._poses import AMPLITUDE_RANGE, MAX_SPAN, check_poses, pose_list
 from pliant.identify._regression import Priors, Solution, fit_delay, solve
 from pliant.identify._segments import all_segments, bare_gravity, payload_rows
 from pliant.identify.procedure import Procedure, guided, run_procedure
@@ -26,14 +26,17 @@ if TYPE_CHECKING:
     from pliant.identify.procedure import Arm, Steps, Tick
 
 
-#: Excess of a goal's amplitude over that of its joint, in units of friction over stiffness [1].
-FRICTION_SWING = 4.0
-#: Largest amplitude of a goal [rad], and largest number of times that the amplitude is widened.
-MAX_SWING, MAX_WIDENINGS = 0.4, 2
-#: `SLOW_SWING`: period [s] and number of the swings at every pose. `FASTER_SWINGS`: periods and
-#: numbers of further swings at the first pose.
-SLOW_SWING, FASTER_SWINGS = (2.6, 1.75), ((1.8, 2.25), (5.0, 1.25))
-#: Periods [s] and numbers of the swings in which a joint is driven by its torque limit.
+#: Difference of the amplitudes of a goal and its joint, divided by friction over stiffness [1].
+FRICTION_EXCESS = 4.0
+#: Largest amplitude of a goal [rad].
+MAX_SWING = 0.4
+#: Largest number of times that the amplitude of the goals is increased.
+MAX_WIDENINGS = 2
+#: Period [s] and number of the oscillations about every pose.
+SLOW_SWING = (2.6, 1.75)
+#: Periods [s] and numbers of further oscillations about the first pose.
+FURTHER_SWINGS = ((1.8, 2.25), (5.0, 1.25))
+#: Periods [s] and numbers of the oscillations in which the torque limit drives a joint.
 LIMIT_SWINGS = ((1.8, 2.25), (5.0, 1.25))
 #: Number of step changes of each joint's goal, from which the delay is identified.
 STEP_COUNT = 7
@@ -50,7 +53,7 @@ def _make_procedure(
     torque_share: float = 0.6,
     limit_error: float = 0.05,
 ) -> Procedure[Identification]:
-    """Return the `Procedure` that `identify_servos` runs, to be stepped by another control loop.
+    """Return the `Procedure` that `identify_servos` runs; another control loop can step it.
 
     Args:
         model: Model of the arm.
@@ -58,7 +61,7 @@ def _make_procedure(
         period: Control period [s].
         poses: Number of poses to choose within `span`, or joint positions of poses (K, n) [rad].
         span: Maximum distance of chosen poses from the present pose, per joint [rad].
-        amplitude: Amplitude of the joints about each pose [rad]; the goals swing more, because
+        amplitude: Amplitude of the joints about each pose [rad]; the goals move more, because
             friction absorbs a part.
         torque_share: Torque allowed in addition to gravity, as a share of the maximum torque [1].
         limit_error: Assumed standard deviation of the ratio of true to commanded torque limit [1].
@@ -67,20 +70,20 @@ def _make_procedure(
         ConfigError: Neither `servos` nor the model gives servo parameters.
         OutOfRangeError: A number is out of range.
     """
-    own = instance(model, Model, "model").servos
-    assumed = own if servos is None else instance(servos, Servos, "servos")
+    defaults = instance(model, Model, "model").servos
+    assumed = defaults if servos is None else instance(servos, Servos, "servos")
     if assumed is None:
         raise ConfigError(
             "identification needs a servo table: give servos=pliant.Servos(kp=…, max_torque=…)"
         )
     rig = Excitation(model, assumed, period, torque_share=torque_share)
     numbers = (
-        number(span, "span", 0.0, SPAN, "rad"),
-        number(amplitude, "amplitude", *SWING, "rad"),
+        number(span, "span", 0.0, MAX_SPAN, "rad"),
+        number(amplitude, "amplitude", *AMPLITUDE_RANGE, "rad"),
         number(limit_error, "limit_error", 1e-3, 1.0),
     )
-    chosen = check_poses(poses, rig.n)
-    return Procedure(lambda q: _identify(rig, q, chosen, numbers), rig.n)
+    checked_poses = check_poses(poses, rig.n)
+    return Procedure(lambda q: _identify(rig, q, checked_poses, numbers), rig.n)
 
 
 @guided(_make_procedure)
@@ -98,8 +101,8 @@ def identify_servos(
 ) -> Identification:
     """Identify stiffness, friction, damping, payload and delay on the arm, in about 2 minutes.
 
-    All joints swing slowly at a few poses. Then each joint is moved by changing its torque limit.
-    Finally, the goal of each joint makes small steps. Do not touch the arm.
+    All joints oscillate slowly about a few poses. Then each joint is moved by changing its torque
+    limit. Finally, the goal of each joint makes small steps. Do not touch the arm.
 
     Args:
         arm: The arm, at rest, simulated or connected and enabled.
@@ -107,51 +110,55 @@ def identify_servos(
         servos: Assumed servo parameters; None: those of the model.
         poses: Number of poses to choose within `span`, or joint positions of poses (K, n) [rad].
         span: Maximum distance of chosen poses from the present pose, per joint [rad].
-        amplitude: Amplitude of the joints about each pose [rad]; the goals swing more, because
+        amplitude: Amplitude of the joints about each pose [rad]; the goals move more, because
             friction absorbs a part.
         rate: Control rate [Hz]; None: the rate of the arm, or 100 Hz if it has none.
         loop: Your own control loop, which yields its ticks; None: a loop at this rate.
         **options: `torque_share` and `limit_error` of `identify_servos.procedure`.
 
+    Returns:
+        Servo parameters, delay and payload, with standard deviations.
+
     Raises:
-        OutOfRangeError: The motion would leave the position limits.
+        ConfigError: Neither `servos` nor the model gives servo parameters.
+        OutOfRangeError: A number is out of range, or the motion would leave the position limits.
         ServoError: A joint does not follow its goal (the arm keeps holding its position), or no
             joint moved steadily.
     """
-    own = rate if rate is not None else getattr(arm, "rate", 100.0)
-    period = 1.0 / number(own, "rate", 10.0, 1000.0, "Hz")
+    rate = rate if rate is not None else getattr(arm, "rate", 100.0)
+    period = 1.0 / number(rate, "rate", 10.0, 1000.0, "Hz")
     procedure = _make_procedure(
         model, servos, period=period, poses=poses, span=span, amplitude=amplitude, **options
     )
     return run_procedure(arm, procedure, loop, rate=1.0 / period)
 
 
-def swing(rig: Excitation, amplitude: float) -> Array:
+def goal_amplitude(rig: Excitation, amplitude: float) -> Array:
     """Return the amplitude of the goals (n,) [rad] that moves the joints by `amplitude` [rad]."""
-    return amplitude + FRICTION_SWING * rig.friction / rig.kp
+    return amplitude + FRICTION_EXCESS * rig.friction / rig.kp
 
 
 def widen_swing(rig: Excitation, q: Array, amplitude: float) -> Steps[tuple[Array, Array]]:
-    """Swing all joints near q, with growing goals, until they move by about `amplitude` [rad].
+    """Oscillate all joints near q with growing goals until they move by about ±`amplitude` [rad].
 
-    A goal must swing more than its joint: after a reversal, the joint moves only when the goal has
+    A goal must move more than its joint: after a reversal, the joint moves only when the goal has
     moved by 2 f/k_p, with the friction f [N·m] and the servo stiffness k_p [N·m/rad].
 
     Returns:
         Amplitude of the goals (n,) [rad] and the last positions (n,) [rad].
 
     Raises:
-        OutOfRangeError: The swing would leave the position limits.
+        OutOfRangeError: The motion would leave the position limits.
     """
-    start, size = q.copy(), swing(rig, amplitude)
+    start, size = q.copy(), goal_amplitude(rig, amplitude)
     for _ in range(MAX_WIDENINGS + 1):
         pose = rig.fit_within_limits(start, size)
         rig.start_record()
         q = yield from rig.travel(q, start, pose)
         record = rig.start_record()
         q = yield from rig.sweep(q, pose, size, *SLOW_SWING)
-        moved = np.array(record.q)[-round(SLOW_SWING[0] / rig.period) :]
-        deficit = amplitude - 0.5 * (moved.max(axis=0) - moved.min(axis=0))
+        positions = np.array(record.q)[-round(SLOW_SWING[0] / rig.period) :]
+        deficit = amplitude - 0.5 * (positions.max(axis=0) - positions.min(axis=0))
         rig.start_record()
         q = yield from rig.travel(q, pose, start)
         if (deficit < 0.3 * amplitude).all():
@@ -162,17 +169,17 @@ def widen_swing(rig: Excitation, q: Array, amplitude: float) -> Steps[tuple[Arra
 
 
 def swing_at_poses(rig: Excitation, q: Array, route: list[Array], size: Array) -> Steps[Array]:
-    """Swing all joints slowly about each pose of a route; return the last positions (n,) [rad].
+    """Oscillate all joints slowly about each pose of a route; return the last positions (n,) [rad].
 
     `size` is the amplitude of the goals (n,) [rad].
     """
-    at = route[0]
+    previous = route[0]
     for pose in route:
         rig.start_record()
-        q = yield from rig.travel(q, at, pose)
+        q = yield from rig.travel(q, previous, pose)
         rig.start_record()
         q = yield from rig.sweep(q, pose, size, *SLOW_SWING)
-        at = pose
+        previous = pose
     return q
 
 
@@ -186,14 +193,14 @@ def _identify(
     q = yield from rig.travel(q, start, route[-1])
     q = yield from swing_at_poses(rig, q, route[::-1], size)
     home = route[0]
-    for seconds, swings in FASTER_SWINGS:
+    for seconds, swings in FURTHER_SWINGS:
         rig.start_record()
         q = yield from rig.sweep(q, home, size, seconds, swings)
     rig.start_record()
     q = yield from rig.travel(q, home, home)
 
     first = _fit(rig, Priors(limit=limit_error))
-    table = rig.kp, rig.friction
+    assumed = rig.kp, rig.friction
     rig.kp = np.clip(first.value["kp"], 0.3 * rig.kp, 3.0 * rig.kp)
     rig.friction = np.maximum(first.value["friction"], 0.0)
     rig.extra_torque = holding_torque(rig, home, first) - np.asarray(rig.model.gravity(home))
@@ -207,7 +214,7 @@ def _identify(
     for joint in range(rig.n):
         steps.append(rig.start_record())
         q = yield from rig.steps(q, home, joint, float(size[joint]), STEP_COUNT)
-    rig.kp, rig.friction = table
+    rig.kp, rig.friction = assumed
     return fit_all(rig, home, steps, limit_error)
 
 

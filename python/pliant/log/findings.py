@@ -57,14 +57,14 @@ def elapsed_time(log: Log) -> Array:
 
 def spans(log: Log) -> list[Span]:
     """Return all spans in which joints were at their maximum torque or at a position limit."""
-    time, found = elapsed_time(log), []
+    time, out = elapsed_time(log), []
     for why, flags in (("torque", log.saturated), ("position", log.locked)):
         for j, joint in enumerate(log.run["joints"]):
             for first, last in _true_ranges(time, flags[:, j] > 0.5):
                 axis = _loading_axis(log, j, first, last) if why == "torque" else None
                 end = time[last] + log.dt[last]
-                found.append(Span(joint, float(time[first]), float(end), why, axis))
-    return sorted(found, key=lambda span: span.start)
+                out.append(Span(joint, float(time[first]), float(end), why, axis))
+    return sorted(out, key=lambda span: span.start)
 
 
 def _true_ranges(time: Array, on: Mask) -> list[tuple[int, int]]:
@@ -85,10 +85,10 @@ def _loading_axis(log: Log, joint: int, first: int, last: int) -> str | None:
     the commanded force along the axis. Law `paper` computes no such force; for it, the load is the
     share times the axis strength (equation 11), the cap of the force along the axis.
     """
-    axes, here = log.run["axes"], slice(first, last + 1)
-    used = log.wrench[here]
-    force = np.abs(used) if np.isfinite(used).all() else log.axis_strength[here]
-    mean = (log.activation[here, joint, : len(axes)] * force).mean(axis=0)
+    axes, ticks = log.run["axes"], slice(first, last + 1)
+    wrench = log.wrench[ticks]
+    force = np.abs(wrench) if np.isfinite(wrench).all() else log.axis_strength[ticks]
+    mean = (log.activation[ticks, joint, : len(axes)] * force).mean(axis=0)
     return str(axes[int(mean.argmax())]) if mean.max() > 0.0 else None
 
 
@@ -110,7 +110,7 @@ def describe_setting(axis: Axis | None, name: str) -> str:
 def sentence(log: Log, forces: ForceEstimates | None, k: int) -> str:
     """Return a sentence that explains the compliance of axis k at its largest deviation."""
     name, tick = log.run["axes"][k], int(np.abs(log.deviation[:, k]).argmax())
-    off = f"{1e3 * log.deviation[tick, k]:+.1f} {unit(name)} at {elapsed_time(log)[tick]:.2f} s"
+    peak = f"{1e3 * log.deviation[tick, k]:+.1f} {unit(name)} at {elapsed_time(log)[tick]:.2f} s"
     cap = f"{log.axis_strength[tick, k]:.3g} {unit(name, force=True)}"
     softness, c = log.softness[tick, k], log.compliance[tick, k]
     axis = None if forces is None else forces.strengths.get(name)
@@ -124,11 +124,11 @@ def sentence(log: Log, forces: ForceEstimates | None, k: int) -> str:
         why = f"firm: the deviation counts as large, the cap was {cap}"
     else:
         why = f"between soft and firm (compliance {c:.2f}), the cap was {cap}"
-    ended = [name for name, on in zip(log.run["joints"], log.saturated[tick], strict=True) if on]
-    more = f"; no torque was left in {listed(ended)}" if ended else ""
+    joints = [name for name, on in zip(log.run["joints"], log.saturated[tick], strict=True) if on]
+    notes = f"; no torque was left in {listed(joints)}" if joints else ""
     if (share := float((log.deviation_limited[:, k] > 0.5).mean())) > 0.0:
-        more += f"; its deviation limit let the target wait or follow in {share:.0%} of the ticks"
-    return f"{name}: farthest off {off}. There {why}{more}."
+        notes += f"; its deviation limit let the target wait or follow in {share:.0%} of the ticks"
+    return f"{name}: farthest off {peak}. There {why}{notes}."
 
 
 def largest_force_tick(forces: ForceEstimates, k: int) -> int | None:

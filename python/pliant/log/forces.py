@@ -58,15 +58,15 @@ def estimate_forces(log: Log) -> ForceEstimates | None:
     axes, ticks = log.run["axes"], len(log)
     if not axes or not ticks:
         raise ConfigError("the log has no ticks of a controller, so no forces can be estimated")
-    size = np.abs(log.deviation)
-    farthest = size.argmax(axis=0)
+    deviation = np.abs(log.deviation)
+    farthest = deviation.argmax(axis=0)
     weight = [1.0 if name in "xyz" else 1.0 / RADIANS_PER_METRE for name in axes]
-    worst = int((size * weight).max(axis=1).argmax())
+    worst = int((deviation * weight).max(axis=1).argmax())
     priming_steps = _priming_steps(log)
     force = np.zeros((ticks, len(axes)))
     bound = np.full_like(force, np.inf)
     strengths: dict[str, Axis] = {}
-    found: feasibility.PoseReport | None = None
+    report: feasibility.PoseReport | None = None
     contact: ContactEstimator | None = None
     tick = 0
 
@@ -86,14 +86,14 @@ def estimate_forces(log: Log) -> ForceEstimates | None:
             tick += call.sequence not in priming_steps
             continue
         if tick in farthest:
-            here = [name for name, at in zip(axes, farthest, strict=True) if at == tick]
-            strengths.update((n, axis) for n, axis in controller.axes.items() if n in here)
+            names = [name for name, peak in zip(axes, farthest, strict=True) if peak == tick]
+            strengths.update((n, axis) for n, axis in controller.axes.items() if n in names)
         if tick == worst:
-            found = controller.report()
+            report = controller.report()
         tick += 1
-    if found is None or tick != ticks:
+    if report is None or tick != ticks:
         return None
-    return ForceEstimates(force, bound, worst, found, strengths)
+    return ForceEstimates(force, bound, worst, report, strengths)
 
 
 def _priming_steps(log: Log) -> set[int]:

@@ -14,7 +14,7 @@ HEADER = struct.Struct("<BI")
 RUN, TICK, STEP, CALL, END = range(5)
 #: Maximum size of frames that wait for the writer process [bytes]; further frames are dropped.
 MAX_BACKLOG = 8_000_000
-#: Time between two attempts to send the rest at the end [s]; Windows cannot wait for a pipe.
+#: Time between two attempts of `finish` to send frames [s]; Windows cannot wait for a pipe.
 FLUSH_PERIOD = 0.005
 
 
@@ -67,8 +67,8 @@ class Sender:
         """Send all buffered frames; wait at most `timeout` [s] until the pipe accepts them."""
         end = time.monotonic() + timeout
         self._flush()
-        while self._backlog and not self.broken and (left := end - time.monotonic()) > 0.0:
-            time.sleep(min(left, FLUSH_PERIOD))
+        while self._backlog and not self.broken and (remaining := end - time.monotonic()) > 0.0:
+            time.sleep(min(remaining, FLUSH_PERIOD))
             self._flush()
 
 

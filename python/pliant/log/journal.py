@@ -127,15 +127,15 @@ class Journal:
 
         If the target was a position, the rotation is that of the controller's reference.
         """
-        given = self._target
-        if given is None:
+        target = self._target
+        if target is None:
             return None
         if self._has_joint_target:
-            return self.inner.model.forward_kinematics(given)
-        if given.shape == (4, 4):
-            return given
+            return self.inner.model.forward_kinematics(target)
+        if target.shape == (4, 4):
+            return target
         pose = self.inner.diagnostics.reference
-        pose[:3, 3] = given
+        pose[:3, 3] = target
         return pose
 
     def _record_step(

@@ -100,8 +100,8 @@ def tick_message(vector: Vector) -> str:
 #: Names of pieces of a vector that are a single number, not a list.
 SINGLE = frozenset(("time", "dt", "index", "lag", "delay", *SCALARS))
 
-#: ROS 2 message definition of a recorded call of the controller. The arguments of a step have their
-#: own fields; those of other calls are JSON in `arguments`.
+#: ROS 2 message definition of a recorded call of the controller. The arguments of a step are
+#: fields; the arguments of any other call are JSON in the field `arguments`.
 CALL = "uint64 sequence\nstring what\nstring arguments\nfloat64 dt\n" + "".join(
     f"float64[] {name}\n" for name, _ in step(1).pieces[1:]
 )

@@ -112,7 +112,7 @@ def read(path: str | Path) -> Log:
         return _read(Path(path))
     except PARSE_ERRORS as error:
         kind = type(error).__name__
-        raise ConfigError(f"{path} is no log of pliant: {kind}: {error}") from error
+        raise ConfigError(f"{path} is not a log of pliant: {kind}: {error}") from error
 
 
 def _read(path: Path) -> Log:
@@ -142,12 +142,12 @@ def _read(path: Path) -> Log:
             if run is None:
                 short = "it ends before its first record"
                 why = short if isinstance(error, CutShortError) else error
-                raise ConfigError(f"{path} is no log of pliant: {why}") from error
+                raise ConfigError(f"{path} is not a log of pliant: {why}") from error
             damage = str(error) if isinstance(error, DamagedError) else ""
     if run is None:
-        raise ConfigError(f"{path} is no log of pliant: it has no attachment {layout.RUN!r}")
+        raise ConfigError(f"{path} is not a log of pliant: it has no attachment {layout.RUN!r}")
     if not isinstance(run, dict) or "version" not in run:
-        raise ConfigError(f"{path} is no log of pliant: its description has no version")
+        raise ConfigError(f"{path} is not a log of pliant: its description has no version")
     if run["version"] != layout.VERSION:
         raise ConfigError(
             f"{path} has layout {run['version']}, this pliant reads {layout.VERSION}: read it with "
@@ -156,7 +156,7 @@ def _read(path: Path) -> Log:
     try:
         _check(run)
     except ConfigError as error:
-        raise ConfigError(f"{path} is no log of pliant: {error}") from error
+        raise ConfigError(f"{path} is not a log of pliant: {error}") from error
     columns = _columns(run, ticks)
     if len(columns["time"]):
         # Shift the times so that 0 is the beginning of the first tick, as in `pliant.loop.Tick`.
@@ -177,10 +177,10 @@ class _Decoder:
         decoder = self._decoders.get(message.channel_id)
         if decoder is None:
             channel = self.channels[message.channel_id]
-            found = self._factory.decoder_for("cdr", self.schemas[channel.schema_id])
-            if found is None:
+            message_decoder = self._factory.decoder_for("cdr", self.schemas[channel.schema_id])
+            if message_decoder is None:
                 raise ConfigError(f"no decoder for {channel.topic}")
-            decoder = self._decoders[message.channel_id] = found
+            decoder = self._decoders[message.channel_id] = message_decoder
         return decoder(message.data)
 
 
@@ -191,7 +191,7 @@ def _check(run: Any) -> None:
         ConfigError: A field is missing, has the wrong type, or contradicts another.
     """
     if not isinstance(run, dict):
-        raise ConfigError(f"the description of the run is no table, but {type(run).__name__}")
+        raise ConfigError(f"the description of the run is not a table, but {type(run).__name__}")
     for name, kinds, optional in RUN_FIELDS:
         value = run.get(name)
         fits = value is None if optional and value is None else isinstance(value, kinds)
@@ -200,7 +200,7 @@ def _check(run: Any) -> None:
             raise ConfigError(f"the description of the run {problem} {name!r}")
     for name in ("joints", "extra", "axes"):
         if not all(isinstance(entry, str) for entry in run[name] or ()):
-            raise ConfigError(f"the description of the run has {name!r} that are no names")
+            raise ConfigError(f"the description of the run has {name!r} that are not names")
     if not 0.0 < run["rate"] < math.inf:
         raise ConfigError(f"the description of the run has a rate of {run['rate']} Hz")
     model = serialization.model(run["model"])
@@ -242,7 +242,7 @@ def _columns(run: dict[str, Any], ticks: list[Any]) -> dict[str, Array]:
 
 def arguments(call: Any) -> dict[str, Any]:
     """Return the arguments, by name, of a recorded controller call that is not a step."""
-    read = serialization.read(call.arguments) if call.arguments else {}
-    if not (isinstance(read, dict) and all(isinstance(name, str) for name in read)):
-        raise ConfigError(f"the arguments of the call {call.what!r} are no table of names")
-    return read
+    values = serialization.read(call.arguments) if call.arguments else {}
+    if not (isinstance(values, dict) and all(isinstance(name, str) for name in values)):
+        raise ConfigError(f"the arguments of the call {call.what!r} are not a table of names")
+    return values

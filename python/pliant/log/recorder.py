@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from pliant.config import Config
     from pliant.loop import Commanded, Tick
 
-#: Timeout of `close` for sending the buffered data, and once more for the end of the writer [s].
+#: Timeout of `close`, first for sending the buffered data, then for the end of the writer [s].
 CLOSE_TIMEOUT = 5.0
 
 
@@ -195,8 +195,8 @@ class Recorder:
         if self._closed or process is None or process.stdin is None:
             return
         self._closed = True
-        counted = {"counters": self._counters(), "dropped": self.dropped}
-        self._sender.send(frames.END, serialization.write(counted).encode())
+        counts = {"counters": self._counters(), "dropped": self.dropped}
+        self._sender.send(frames.END, serialization.write(counts).encode())
         self._sender.finish(CLOSE_TIMEOUT)
         process.stdin.close()
         try:

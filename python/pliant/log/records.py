@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 #: First and last bytes of an MCAP file.
 MAGIC = b"\x89MCAP0\r\n"
-#: Maximum unpacked size of a chunk [bytes]; chunks of a `Recorder`, of half a second, are smaller.
+#: Maximum unpacked size of a chunk [bytes]; the half-second chunks of a `Recorder` are smaller.
 MAX_CHUNK = 1 << 26
 #: The maximum unpacked size of all chunks together is the larger of `MAX_UNPACKED` [bytes] and
 #: `MAX_EXPANSION` times the size of the file.

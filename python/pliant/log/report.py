@@ -119,7 +119,7 @@ def _figure(folder: Path, name: str, title: str, caption: str) -> str:
 
 
 def _list(sentences: list[str]) -> str:
-    return "<ul>" + "".join(f"<li>{page.text(one)}</li>" for one in sentences) + "</ul>"
+    return "<ul>" + "".join(f"<li>{page.text(sentence)}</li>" for sentence in sentences) + "</ul>"
 
 
 def _soft(log: Log, forces: ForceEstimates | None, folder: Path) -> str:

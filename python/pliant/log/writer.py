@@ -39,9 +39,10 @@ if TYPE_CHECKING:
 
 #: Time span of the ticks in one chunk of the MCAP file [s].
 CHUNK_TIME = 0.5
-#: For the estimate of the chunk size: number of messages per tick, and size of a message without
-#: its numbers [bytes].
-MESSAGES, OVERHEAD = 8, 150
+#: Number of messages per tick, for the estimate of the chunk size.
+MESSAGES = 8
+#: Size of a message without its numbers [bytes], for the same estimate.
+OVERHEAD = 150
 #: Standard ROS 2 messages of a log.
 STANDARD = (JOINT_STATE, POSE_STAMPED, TF_MESSAGE, STRING)
 
@@ -94,22 +95,20 @@ class LogFile:
         `body` is the body of the frame of the tick.
         """
         pieces = self._tick.split(np.frombuffer(body))
-        passed = float(pieces["time"][0]) - self.run["clock"]
-        self._now = self._begin + round(passed * 1e9)
+        elapsed = float(pieces["time"][0]) - self.run["clock"]
+        self._now = self._begin + round(elapsed * 1e9)
         names = [name for name, _ in self._tick.pieces]
         self._write_message("/pliant/tick", "pliant_msgs/msg/Tick", layout.numbers(pieces, names))
         joints = [*self.run["joints"], *self.run["extra"]]
         positions = np.concatenate((pieces["q"], pieces["extra"]))
         self._joints("/joint_states", joints, positions, pieces["dq"], pieces["load"])
-        named = [pieces[name] for name in layout.COMMAND]
-        self._joints("/command/joint_states", self.run["joints"], named[0], named[2], named[1])
+        goal, torque, speed = (pieces[name] for name in layout.COMMAND)
+        self._joints("/command/joint_states", self.run["joints"], goal, speed, torque)
         actual = self._model.forward_kinematics(pieces["q"])
         poses = {"actual": actual}
         if self.run["axes"] is not None:
-            axes, zero = self.run["axes"], pieces["deviation"]
-            self._joints(
-                "/task/joint_states", axes, zero, pieces["task_velocity"], pieces["axis_strength"]
-            )
+            task = [pieces[name] for name in ("deviation", "task_velocity", "axis_strength")]
+            self._joints("/task/joint_states", self.run["axes"], *task)
             poses["target"] = pieces["target"].reshape(4, 4)
             poses["intermediate"] = pieces["reference"].reshape(4, 4)
         base, tip = self._model.base, self._model.tip
@@ -126,10 +125,10 @@ class LogFile:
 
     def call(self, body: bytes) -> None:
         """Write a message with another call of the controller, from the body of its frame."""
-        called = serialization.read(body.decode())
+        record = serialization.read(body.decode())
         empty: dict[str, Any] = {name: [] for name, _ in self._step.pieces}
-        arguments = serialization.write(called.pop("arguments"))
-        self._call({**empty, **called, "dt": np.nan, "arguments": arguments})
+        arguments = serialization.write(record.pop("arguments"))
+        self._call({**empty, **record, "dt": np.nan, "arguments": arguments})
 
     def end(self, body: bytes) -> None:
         """Write the counters at the end of the run, `body`, as an attachment."""
@@ -160,8 +159,8 @@ def main() -> None:
         return
     path = Path(sys.argv[1])
     with ExitStack() as stack:
-        with replacing(path) as beside:
-            stream = stack.enter_context(beside.open("wb"))
+        with replacing(path) as temporary:
+            stream = stack.enter_context(temporary.open("wb"))
             log = LogFile(stream, serialization.read(first[1].decode()))
             stream.flush()
         # From here on, the file has its final name: after a crash, it can be read as a log.

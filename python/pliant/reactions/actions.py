@@ -47,15 +47,15 @@ def step_toward(pose: Array, target: Array, distance: float, angle: float) -> Ar
 class Running:
     """State of an action that is in force; this base class changes nothing."""
 
-    def target(self, now: TickContext, target: Array) -> Array:
+    def target(self, tick: TickContext, target: Array) -> Array:
         """Return the target pose (4, 4) for the controller's step, which replaces `target`."""
         return target
 
-    def over(self, now: TickContext) -> bool | None:
-        """Return True if the action is complete, False if not, None if the reaction decides."""
+    def over(self, tick: TickContext) -> bool | None:
+        """Return True if the action is complete, False if not, None if it has no end of its own."""
         return None
 
-    def end(self, now: TickContext) -> None:
+    def end(self, tick: TickContext) -> None:
         """Undo temporary changes of the controller's settings at the end of the reaction."""
 
 
@@ -80,7 +80,7 @@ class Action(ABC):
         """
 
     @abstractmethod
-    def begin(self, now: TickContext) -> Running:
+    def begin(self, tick: TickContext) -> Running:
         """Begin the action; return the `Running` action, in force until the reaction ends."""
 
 
@@ -90,7 +90,7 @@ class _FixedTarget(Running):
 
     pose: Array
 
-    def target(self, now: TickContext, target: Array) -> Array:
+    def target(self, tick: TickContext, target: Array) -> Array:
         return self.pose
 
 
@@ -102,9 +102,9 @@ class Hold(Action):
     `Reaction.clear`.
     """
 
-    def begin(self, now: TickContext) -> Running:
+    def begin(self, tick: TickContext) -> Running:
         """Return a running action whose target is the present tool pose."""
-        return _FixedTarget(now.tool.copy())
+        return _FixedTarget(tick.tool.copy())
 
 
 @dataclass(frozen=True)
@@ -113,9 +113,9 @@ class Stop(Action):
 
     is_latching = True
 
-    def begin(self, now: TickContext) -> Running:
+    def begin(self, tick: TickContext) -> Running:
         """Return a running action whose target is the present tool pose."""
-        return _FixedTarget(now.tool.copy())
+        return _FixedTarget(tick.tool.copy())
 
 
 class _ChangedSettings(Running):
@@ -125,10 +125,10 @@ class _ChangedSettings(Running):
         self._before, self._changed = controller.settings, settings
         controller.update(settings)
 
-    def end(self, now: TickContext) -> None:
+    def end(self, tick: TickContext) -> None:
         # Restore the settings only if the program has not changed them in the meantime.
-        if now.controller.settings == self._changed:
-            now.controller.update(self._before)
+        if tick.controller.settings == self._changed:
+            tick.controller.update(self._before)
 
 
 @dataclass(frozen=True, repr=False)
@@ -156,9 +156,9 @@ class Yield(Action):
 
     def _settings(self, settings: Settings) -> Settings:
         names = settings.task.names
-        chosen = [names[index] for index in indices(self.axes, names)]
+        axis_names = [names[index] for index in indices(self.axes, names)]
         axes: dict[str, Axis] = dict(settings.axes.items())
-        for name in chosen:
+        for name in axis_names:
             axes[name] = settings.axes[name].replace(**{"yields": "both", **self.fields})
         return settings.replace(axes=axes)
 
@@ -167,9 +167,9 @@ class Yield(Action):
         settings = self._settings(controller.settings)
         Controller(controller.model, settings, controller.servos)
 
-    def begin(self, now: TickContext) -> Running:
+    def begin(self, tick: TickContext) -> Running:
         """Apply the changed settings to the controller; return the action that restores them."""
-        return _ChangedSettings(now.controller, self._settings(now.controller.settings))
+        return _ChangedSettings(tick.controller, self._settings(tick.controller.settings))
 
     def __repr__(self) -> str:
         fields_text = f", {dict(self.fields)!r}" if self.fields else ""
@@ -184,19 +184,19 @@ class _FollowingTool(Running):
     max_deviation: float
     end_deviation: float
 
-    def _task_error(self, now: TickContext, target: Array) -> tuple[Array, Array]:
-        frame = now.base_from_task
-        error = functional.pose_error(now.tool, target)
+    def _task_error(self, tick: TickContext, target: Array) -> tuple[Array, Array]:
+        frame = tick.base_from_task
+        error = functional.pose_error(tick.tool, target)
         return frame, np.concatenate((frame.T @ error[:3], frame.T @ error[3:]))
 
-    def target(self, now: TickContext, target: Array) -> Array:
-        frame, error = self._task_error(now, target)
-        chosen = list(self.axes)
-        error[chosen] = np.clip(error[chosen], -self.max_deviation, self.max_deviation)
-        return offset_pose(now.tool, frame @ error[:3], frame @ error[3:])
+    def target(self, tick: TickContext, target: Array) -> Array:
+        frame, error = self._task_error(tick, target)
+        axes = list(self.axes)
+        error[axes] = np.clip(error[axes], -self.max_deviation, self.max_deviation)
+        return offset_pose(tick.tool, frame @ error[:3], frame @ error[3:])
 
-    def over(self, now: TickContext) -> bool | None:
-        _, error = self._task_error(now, now.target)
+    def over(self, tick: TickContext) -> bool | None:
+        _, error = self._task_error(tick, tick.target)
         return bool(np.all(np.abs(error[list(self.axes)]) <= self.end_deviation))
 
 
@@ -221,7 +221,7 @@ class Follow(Action):
         indices(self.axes)
         positive(self.max_deviation, "Follow.max_deviation", "m, rad")
 
-    def begin(self, now: TickContext) -> Running:
+    def begin(self, tick: TickContext) -> Running:
         """Return a running action whose target follows the tool."""
         return _FollowingTool(indices(self.axes), self.max_deviation, 0.9 * self.max_deviation)
 
@@ -233,8 +233,8 @@ class _MovingAway(Running):
         self._pose, self._direction = pose, direction
         self._distance, self._speed, self._travelled = distance, speed, 0.0
 
-    def target(self, now: TickContext, target: Array) -> Array:
-        self._travelled = min(self._travelled + self._speed * now.dt, self._distance)
+    def target(self, tick: TickContext, target: Array) -> Array:
+        self._travelled = min(self._travelled + self._speed * tick.dt, self._distance)
         return offset_pose(self._pose, self._travelled * self._direction, np.zeros(3))
 
 
@@ -266,12 +266,12 @@ class Retract(Action):
         """True if no direction is given, so that the force estimate gives the direction."""
         return self.along is None
 
-    def begin(self, now: TickContext) -> Running:
+    def begin(self, tick: TickContext) -> Running:
         """Return a running action whose target moves; it stays if the estimated force is 0."""
-        push = now.force().force_base[:3] if self.along is None else np.asarray(self.along, float)
+        push = tick.force().force_base[:3] if self.along is None else np.asarray(self.along, float)
         size = float(np.linalg.norm(push))
         direction = push / size if size > 0.0 else np.zeros(3)
-        return _MovingAway(now.tool.copy(), direction, self.distance, self.speed)
+        return _MovingAway(tick.tool.copy(), direction, self.distance, self.speed)
 
 
 @dataclass(frozen=True)
@@ -289,7 +289,7 @@ class Call(Action):
                 f"{format_value(self.function)}"
             )
 
-    def begin(self, now: TickContext) -> Running:
-        """Call the function with `now`; return a running action that changes nothing."""
-        self.function(now)
+    def begin(self, tick: TickContext) -> Running:
+        """Call the function with `tick`; return a running action that changes nothing."""
+        self.function(tick)
         return Running()

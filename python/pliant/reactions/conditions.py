@@ -70,8 +70,8 @@ class TickContext:
         velocity = (
             self.controller.diagnostics.velocity if self.wrench is None else self.wrench.velocity
         )
-        moved: Array = self.controller.diagnostics.task_jacobian @ velocity
-        return moved
+        speed: Array = self.controller.diagnostics.task_jacobian @ velocity
+        return speed
 
     def force(self) -> WrenchEstimate:
         """Return the estimated wrench on the tool.
@@ -170,8 +170,8 @@ def condition(value: object, name: str) -> Condition:
         TypeError: The value is not a condition.
     """
     if not isinstance(value, Condition):
-        wanted = "a condition, as Force('z', above=8.0) or After(1.0)"
-        raise TypeError(f"{name} must be {wanted}, got {format_value(value)}")
+        expected = "a condition, as Force('z', above=8.0) or After(1.0)"
+        raise TypeError(f"{name} must be {expected}, got {format_value(value)}")
     return value
 
 
@@ -200,8 +200,8 @@ class Joined(Condition):
         """
         first, other, both = self.first.evaluator(), self.other.evaluator(), self.operator == "&"
 
-        def holds(now: TickContext) -> bool:
-            a, b = first(now), other(now)
+        def holds(tick: TickContext) -> bool:
+            a, b = first(tick), other(tick)
             return (a and b) if both else (a or b)
 
         return holds
@@ -233,7 +233,7 @@ class Not(_Modified):
     def evaluator(self) -> Evaluator:
         """Return a function that evaluates the negation."""
         inner = self.inner.evaluator()
-        return lambda now: not inner(now)
+        return lambda tick: not inner(tick)
 
     def __repr__(self) -> str:
         return f"~{self.inner!r}"
@@ -256,12 +256,12 @@ class Lasting(_Modified):
         """Return a function that measures for how long `inner` has been true."""
         inner, duration = self.inner.evaluator(), -1.0
 
-        def holds(now: TickContext) -> bool:
+        def holds(tick: TickContext) -> bool:
             nonlocal duration
-            if not inner(now):
+            if not inner(tick):
                 duration = -1.0
                 return False
-            duration = 0.0 if duration < 0.0 else duration + now.dt
+            duration = 0.0 if duration < 0.0 else duration + tick.dt
             return duration >= self.seconds - 1e-9
 
         return holds
@@ -331,16 +331,16 @@ class Force(Condition):
 
     def evaluator(self) -> Evaluator:
         """Return a function that compares the estimated force with threshold and uncertainty."""
-        chosen = list(indices(self.axes))
+        columns = list(indices(self.axes))
         sign = {"both": 0.0, "+": 1.0, "-": -1.0}[self.toward]
 
-        def holds(now: TickContext) -> bool:
-            wrench = now.force()
-            force = wrench.force[chosen]
+        def holds(tick: TickContext) -> bool:
+            wrench = tick.force()
+            force = wrench.force[columns]
             size = sign * force if sign else np.abs(force)
             if self.above is None:
                 return bool(np.all(size < (self.below or 0.0)))
-            bound = 0.0 if self.accept_thresholds else now.guard * wrench.uncertainty[chosen]
+            bound = 0.0 if self.accept_thresholds else tick.guard * wrench.uncertainty[columns]
             return bool(np.any(size > np.maximum(self.above, bound)))
 
         return holds
@@ -372,11 +372,11 @@ class ContactEvent(Condition):
 
     def evaluator(self) -> Evaluator:
         """Return a function that returns True if the event is reported on one of the axes."""
-        chosen, stop = list(indices(self.axes)), self.kind == "stop"
+        columns, stop = list(indices(self.axes)), self.kind == "stop"
 
-        def holds(now: TickContext) -> bool:
-            wrench = now.force()
-            return bool((wrench.stop if stop else wrench.touch)[chosen].any())
+        def holds(tick: TickContext) -> bool:
+            wrench = tick.force()
+            return bool((wrench.stop if stop else wrench.touch)[columns].any())
 
         return holds
 
@@ -400,7 +400,7 @@ class ResidualAbove(Condition):
 
     def evaluator(self) -> Evaluator:
         """Return a function that compares the residuals of all joints with the threshold."""
-        return lambda now: now.force().residual_ratio > self.above
+        return lambda tick: tick.force().residual_ratio > self.above
 
     def __repr__(self) -> str:
         return f"ResidualAbove(above={self.above:g})"
@@ -424,14 +424,14 @@ class _TaskCondition(Condition):
         indices(self.axes, controller.settings.task.names)
 
     @abstractmethod
-    def _measure(self, now: TickContext) -> np.ndarray:
+    def _measure(self, tick: TickContext) -> np.ndarray:
         """Return the quantity that is compared with the threshold, along all task axes (k,)."""
 
     def evaluator(self) -> Evaluator:
         """Return a function that compares the magnitude of the quantity with the threshold."""
 
-        def holds(now: TickContext) -> bool:
-            size = np.abs(self._measure(now)[list(indices(self.axes, now.names))])
+        def holds(tick: TickContext) -> bool:
+            size = np.abs(self._measure(tick)[list(indices(self.axes, tick.names))])
             if self.above is None:
                 return bool(np.all(size < (self.below or 0.0)))
             return bool(np.any(size > self.above))
@@ -450,8 +450,8 @@ class Deviation(_TaskCondition):
         above, below: Threshold [m], for rotations [rad]; exactly one of them is given.
     """
 
-    def _measure(self, now: TickContext) -> np.ndarray:
-        return now.deviation
+    def _measure(self, tick: TickContext) -> np.ndarray:
+        return tick.deviation
 
 
 class Speed(_TaskCondition):
@@ -462,8 +462,8 @@ class Speed(_TaskCondition):
         above, below: Threshold [m/s], for rotations [rad/s]; exactly one of them is given.
     """
 
-    def _measure(self, now: TickContext) -> np.ndarray:
-        return now.speed
+    def _measure(self, tick: TickContext) -> np.ndarray:
+        return tick.speed
 
 
 @dataclass(frozen=True, repr=False)
@@ -484,9 +484,9 @@ class After(Condition):
         """Return a function that measures the time from its first call."""
         elapsed = -1.0
 
-        def holds(now: TickContext) -> bool:
+        def holds(tick: TickContext) -> bool:
             nonlocal elapsed
-            elapsed = 0.0 if elapsed < 0.0 else elapsed + now.dt
+            elapsed = 0.0 if elapsed < 0.0 else elapsed + tick.dt
             return elapsed >= self.seconds - 1e-9
 
         return holds
@@ -524,8 +524,8 @@ class Saturated(Condition):
     def evaluator(self) -> Evaluator:
         """Return a function that returns True if one of the joints is at its torque limit."""
 
-        def holds(now: TickContext) -> bool:
-            names, saturated = now.controller.model.joint_names, now.force().saturated
+        def holds(tick: TickContext) -> bool:
+            names, saturated = tick.controller.model.joint_names, tick.force().saturated
             if not self.joints:
                 return bool(saturated.any())
             return any(saturated[list(names).index(name)] for name in self.joints)

@@ -28,9 +28,10 @@ class Reaction:
     Attributes:
         when: Condition that begins the actions when it becomes true.
         then: One action or several, in the order in which they change the target.
-        until: Condition that ends the actions. None: each action ends as its class says, or if the
-            class does not say, once `when` has been false for the time `clear`.
-        clear: Time for which `when` must be false before the actions end [s]; used without `until`.
+        until: Condition that ends the actions. None: they end as their classes say; an action whose
+            class names no end ends once `when` has been false for the time `clear`.
+        clear: Time for which `when` must be false before such an action ends [s]; ignored if
+            `until` is given.
     """
 
     when: Condition
@@ -94,36 +95,36 @@ class ReactionEvent:
 class _InForce:
     """State of the reaction in force: its running actions, and the time to its end."""
 
-    def __init__(self, index: int, reaction: Reaction, now: TickContext) -> None:
+    def __init__(self, index: int, reaction: Reaction, tick: TickContext) -> None:
         self.index, self.reaction = index, reaction
-        self._running: list[Running] = [action.begin(now) for action in reaction.actions]
+        self._running: list[Running] = [action.begin(tick) for action in reaction.actions]
         self._is_latching = any(action.is_latching for action in reaction.actions)
         self._until = None if reaction.until is None else reaction.until.evaluator()
         self._time_clear = 0.0
 
-    def target(self, now: TickContext) -> Array:
+    def target(self, tick: TickContext) -> Array:
         """Return the target pose (4, 4): the caller's target, changed by each action in turn."""
-        pose = now.target
+        pose = tick.target
         for running in self._running:
-            pose = running.target(now, pose)
+            pose = running.target(tick, pose)
         return pose
 
-    def over(self, now: TickContext, holds: bool) -> bool:
+    def over(self, tick: TickContext, holds: bool) -> bool:
         """Return True if the reaction ends in this tick; `holds`: its condition `when` is true."""
         if self._until is not None:
-            return self._until(now)
+            return self._until(tick)
         if self._is_latching:
             return False
-        answers = [answer for running in self._running if (answer := running.over(now)) is not None]
-        if answers:
-            return all(answers)
-        self._time_clear = 0.0 if holds else self._time_clear + now.dt
+        are_over = [over for running in self._running if (over := running.over(tick)) is not None]
+        if are_over:
+            return all(are_over)
+        self._time_clear = 0.0 if holds else self._time_clear + tick.dt
         return self._time_clear > self.reaction.clear
 
-    def end(self, now: TickContext) -> None:
+    def end(self, tick: TickContext) -> None:
         """End all running actions, the last one first."""
         for running in reversed(self._running):
-            running.end(now)
+            running.end(tick)
 
 
 class ReactionMonitor:
@@ -250,17 +251,17 @@ class ReactionMonitor:
             ShapeError, OutOfRangeError, ConfigError: An input is invalid; nothing has changed.
             Exception: The function of a `Call` raised this exception.
         """
-        now = self._collect(q, target, dt, load, current, sent)
-        holds = [evaluator(now) for evaluator in self._evaluators]
-        self._finish(now, holds)
-        self._start(now, holds)
+        tick = self._collect(q, target, dt, load, current, sent)
+        holds = [evaluator(tick) for evaluator in self._evaluators]
+        self._finish(tick, holds)
+        self._start(tick, holds)
         if self._in_force is not None:
-            self._last_target = self._in_force.target(now)
+            self._last_target = self._in_force.target(tick)
             return self._last_target
         if self._resuming and self._last_target is not None:
-            distance, angle = (speed * now.dt for speed in self._resume_speed)
-            self._last_target = step_toward(self._last_target, now.target, distance, angle)
-            self._resuming = self._last_target is not now.target
+            distance, angle = (speed * tick.dt for speed in self._resume_speed)
+            self._last_target = step_toward(self._last_target, tick.target, distance, angle)
+            self._resuming = self._last_target is not tick.target
             return self._last_target if self._resuming else target
         return target
 
@@ -282,36 +283,36 @@ class ReactionMonitor:
         reading = np.asarray(q, dtype=np.float64)
         return TickContext(controller, self._time, step, reading, tool, pose, wrench, guard)
 
-    def _finish(self, now: TickContext, holds: list[bool]) -> None:
+    def _finish(self, tick: TickContext, holds: list[bool]) -> None:
         """End the reaction in force if it is over; `holds`: value of `when` of every reaction."""
         running = self._in_force
-        if running is not None and (self._ending or running.over(now, holds[running.index])):
-            self._end(now, running)
+        if running is not None and (self._ending or running.over(tick, holds[running.index])):
+            self._end(tick, running)
             self._resuming = True
         self._ending = False
 
-    def _start(self, now: TickContext, holds: list[bool]) -> None:
+    def _start(self, tick: TickContext, holds: list[bool]) -> None:
         """Begin reactions whose condition has become true (`holds`), in the order of the list."""
         for index, reaction in enumerate(self.reactions):
             if not holds[index]:
                 self._is_armed[index] = True
             elif self._is_armed[index] and reaction.is_one_shot:
                 self._is_armed[index] = False
-                self.log.append(ReactionEvent(now.time, "called", reaction, now.wrench))
+                self.log.append(ReactionEvent(tick.time, "called", reaction, tick.wrench))
                 for action in reaction.actions:
-                    action.begin(now)
+                    action.begin(tick)
             elif self._is_armed[index] and (self._in_force is None or index < self._in_force.index):
                 self._is_armed[index] = False
                 if self._in_force is not None:
-                    self._end(now, self._in_force)
-                self._in_force = _InForce(index, reaction, now)
+                    self._end(tick, self._in_force)
+                self._in_force = _InForce(index, reaction, tick)
                 self._resuming = False
-                self.log.append(ReactionEvent(now.time, "began", reaction, now.wrench))
+                self.log.append(ReactionEvent(tick.time, "began", reaction, tick.wrench))
 
-    def _end(self, now: TickContext, running: _InForce) -> None:
+    def _end(self, tick: TickContext, running: _InForce) -> None:
         self._in_force = None
-        running.end(now)
-        self.log.append(ReactionEvent(now.time, "ended", running.reaction, now.wrench))
+        running.end(tick)
+        self.log.append(ReactionEvent(tick.time, "ended", running.reaction, tick.wrench))
 
     def __repr__(self) -> str:
         active = "nothing in force" if self.active is None else f"in force: {self.active!r}"

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     Parameter = float | list[float] | str
 
-#: Maximum age of a target by its time stamp [s]; a stamp of 0 is not checked.
+#: Maximum age of a target, according to its time stamp [s]; a stamp of 0 is not checked.
 MAX_AGE = 0.5
 #: Message type of six numbers, one per axis x, y, z, roll, pitch, yaw.
 SIX = "std_msgs/msg/Float64MultiArray"
@@ -55,9 +55,9 @@ SUBSCRIBED = {
 FIELDS = ("yields", "soft", "firm", "hold", "stiffness", "adaptation")
 #: Names that CRISP controllers give to the stiffness of each axis.
 CRISP_STIFFNESS = {
-    f"task.k_{kind}_{letter}": AXES[3 * turn + place]
-    for turn, kind in enumerate(("pos", "rot"))
-    for place, letter in enumerate("xyz")
+    f"task.k_{kind}_{letter}": AXES[3 * group + index]
+    for group, kind in enumerate(("pos", "rot"))
+    for index, letter in enumerate("xyz")
 }
 
 
@@ -146,8 +146,8 @@ class ArmInterface:
             raise ConfigError(
                 f"frame_id = {frame!r} is not the base {base!r}: transform the pose to {base!r}"
             )
-        at, turn = message.pose.position, message.pose.orientation
-        pose = Pose.from_xyzw((at.x, at.y, at.z), (turn.x, turn.y, turn.z, turn.w)).matrix
+        p, o = message.pose.position, message.pose.orientation
+        pose = Pose.from_xyzw((p.x, p.y, p.z), (o.x, o.y, o.z, o.w)).matrix
         self._model.check_target(pose)
         self._send(Target(pose))
 
@@ -236,7 +236,7 @@ class ArmInterface:
     def _change(self, changes: Mapping[str, Mapping[str, Any]]) -> None:
         """Change fields of task axes, all or none, and send the settings to the loop."""
         with self._lock:
-            before, law = self._editor.settings, self._controller.settings.law
+            previous, law = self._editor.settings, self._controller.settings.law
             try:
                 for axis, fields in changes.items():
                     if "stiffness" in fields and law != "impedance":
@@ -247,7 +247,7 @@ class ArmInterface:
                         )
                     self._editor.apply(Change(0, axis, _fields(axis, fields)), self._controller)
             except PliantError:
-                self._editor.settings = before
+                self._editor.settings = previous
                 self._controller.update(self._editor.effective)
                 raise
             if changes:

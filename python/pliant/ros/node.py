@@ -29,8 +29,8 @@ except ImportError as error:
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-#: Minimum time between two handled messages of one topic [s]; of those in between, the last is
-#: kept.
+#: Minimum time between two handled messages of one topic [s]; of the messages that come earlier,
+#: only the last is handled.
 PERIOD = 0.005
 
 
@@ -47,7 +47,7 @@ class Node:
         self._session, self._name = session, name
         self._zid = str(session.info.zid())
         self._numbers = itertools.count(1)
-        self._kept: list[Any] = []
+        self._entities: list[Any] = []
         self._threads: list[threading.Thread] = []
         self._announce(name.token(self._zid))
 
@@ -56,13 +56,13 @@ class Node:
 
         Python would abort the process if a thread still waited in zenoh at the end.
         """
-        for declared in reversed(self._kept):
-            declared.undeclare()
+        for entity in reversed(self._entities):
+            entity.undeclare()
         for thread in self._threads:
             thread.join()
 
     def _announce(self, token: str) -> None:
-        self._kept.append(self._session.liveliness().declare_token(token))
+        self._entities.append(self._session.liveliness().declare_token(token))
 
     def _declare(self, entity: str, topic: str, type_name: str, qos: str) -> str:
         """Announce an entity, and return the key expression of its topic."""
@@ -83,9 +83,9 @@ class Node:
         """
         key = self._declare("MP", topic, type_name, wire.LATCHED_QOS if latched else wire.QOS)
         drop = zenoh.CongestionControl.DROP
-        made: Any
+        publisher: Any
         if latched:
-            made = zenoh.ext.declare_advanced_publisher(
+            publisher = zenoh.ext.declare_advanced_publisher(
                 self._session,
                 key,
                 congestion_control=drop,
@@ -93,13 +93,13 @@ class Node:
                 publisher_detection=True,
             )
         else:
-            made = self._session.declare_publisher(key, congestion_control=drop)
-        self._kept.append(made)
+            publisher = self._session.declare_publisher(key, congestion_control=drop)
+        self._entities.append(publisher)
         gid, count = uuid.uuid4().bytes, itertools.count(1)
 
         def publish(message: Mapping[str, Any]) -> None:
-            attached = wire.attachment(next(count), time.time_ns(), gid)
-            made.put(wire.encode(type_name, message), attachment=attached)
+            attachment = wire.attachment(next(count), time.time_ns(), gid)
+            publisher.put(wire.encode(type_name, message), attachment=attachment)
 
         return publish
 
@@ -111,7 +111,7 @@ class Node:
         key = self._declare("MS", topic, type_name, wire.QOS)
         newest: Any = zenoh.handlers.RingChannel(1)
         subscriber: Any = self._session.declare_subscriber(key, newest)
-        self._kept.append(subscriber)
+        self._entities.append(subscriber)
 
         def listen() -> None:
             for sample in subscriber:
@@ -136,22 +136,22 @@ class Node:
         gid = uuid.uuid4().bytes
 
         def reply(query: zenoh.Query) -> None:
-            payload, asked = query.payload, query.attachment
-            if payload is None or asked is None:
+            payload, header = query.payload, query.attachment
+            if payload is None or header is None:
                 query.reply_err(f"a request of {service} needs a payload and an attachment")
                 return
             try:
                 request = wire.decode(f"{type_name}_Request", payload.to_bytes())
                 response = wire.encode(f"{type_name}_Response", answer(request))
-                sequence = int.from_bytes(asked.to_bytes()[:8], "little", signed=True)
-                attached = wire.attachment(sequence, time.time_ns(), gid)
+                sequence = int.from_bytes(header.to_bytes()[:8], "little", signed=True)
+                attachment = wire.attachment(sequence, time.time_ns(), gid)
             except (ValueError, TypeError, OverflowError) as error:
                 query.reply_err(str(error))
                 return
-            query.reply(query.key_expr, response, attachment=attached)
+            query.reply(query.key_expr, response, attachment=attachment)
 
         queryable: Any = self._session.declare_queryable(key, reply, complete=True)
-        self._kept.append(queryable)
+        self._entities.append(queryable)
 
 
 def open_session(listen: str, connect: str) -> zenoh.Session:

@@ -146,14 +146,14 @@ def make(name: str, fields: Any) -> Any:
 
 def _value(kind: Any, value: Any) -> Any:
     """Return the value of a field of a kind; None gives the default value."""
-    node, of = kind
+    node, detail = kind
     if node == Nodetype.NAME:
-        return make(of, {} if value is None else value)
+        return make(detail, {} if value is None else value)
     if node == Nodetype.BASE:
         converters: dict[str, Any] = {"string": str, "bool": bool, "float32": float}
-        convert = converters.get(of[0], float if of[0] == "float64" else int)
+        convert = converters.get(detail[0], float if detail[0] == "float64" else int)
         return convert() if value is None else convert(value)
-    inner, _ = of
+    inner, _ = detail
     items = [] if value is None else list(value)
     if inner[0] == Nodetype.BASE and inner[1][0] != "string":
         base = inner[1][0]

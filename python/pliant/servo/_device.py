@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
 #: Longest undervoltage that is not reported as a fault [s].
 UNDERVOLTAGE_GRACE = 0.5
-#: A goal or limit register that does not read back as written is a fault after `MISMATCHES` packets
-#: and `MISMATCH_TIME` [s].
+#: Time [s] and number of write packets for which the goal or limit register must differ from the
+#: value written before the difference is a fault.
 MISMATCH_TIME, MISMATCHES = 0.5, 3
 #: Number of consecutive implausible positions that is reported as a fault.
 MAX_JUMPS = 3
@@ -71,13 +71,13 @@ class Device:
         torque_on: True if torque was on at the last reading of Torque Enable.
         torque_unknown: True if torque may be on, because the servo has not answered since a program
             ended, or has not confirmed that torque is off.
-        is_unrestored: True if registers may not have their `initial_values` after torque off.
+        is_unrestored: True if registers may still differ from `initial_values` after torque off.
         goal, limit: Goal and limit register as last written; goal is None before the first write.
         voltage, temperature: Supply voltage [V] and temperature [°C] as last read.
         limit_read: Limit register as last read.
         conditions: Errors in the status of the last reply.
         hardware: Errors in the hardware error register (Protocol 2.0).
-        other_faults: Texts of other faults, by topic.
+        other_faults: Texts of faults that this program detected, not the servo itself, by topic.
         watchdog: Bus watchdog as last read [units of 20 ms].
         tripped: True if the bus watchdog has tripped, so that the servo rejects goals.
         trips: Number of trips of the bus watchdog.
@@ -147,14 +147,14 @@ class Device:
 
     def configure(self) -> None:
         """Pass changed registers, units and bounds to the codec."""
-        row, units, lost = self.row, self.units, self.spec.torque_offset
+        row, units, torque_offset = self.row, self.units, self.spec.torque_offset
         uses_current = row.limit_type == "current"
-        measured = (units.torque_per_unit, lost) if uses_current else (units.load(1), 0.0)
+        scale = (units.torque_per_unit, torque_offset) if uses_current else (units.load(1), 0.0)
         numbers = (
             *self.family.codec_registers,
             *(units.zero, units.sign, units.count, abs(units.velocity(1))),
-            *(*measured, uses_current, row.current_unit or nan),
-            *(units.torque_per_unit, lost),
+            *(*scale, uses_current, row.current_unit or nan),
+            *(units.torque_per_unit, torque_offset),
             *(min(self.ceiling, units.full), units.usable(self.ceiling)),
             *(self.family.speed_max, units.no_load_speed),
             *(self.low, self.high, row.max_position, self.wraparound or 0, self.multi_turn),
@@ -195,10 +195,10 @@ class Device:
     @property
     def faults(self) -> tuple[str, ...]:
         """Present faults, one sentence each, with the joint name."""
-        found = (self.hardware or self.conditions) + tuple(self.other_faults.values())
-        if not found:
+        texts = (self.hardware or self.conditions) + tuple(self.other_faults.values())
+        if not texts:
             return ()
-        return tuple(f"{self.name}: {text}" for text in found)
+        return tuple(f"{self.name}: {text}" for text in texts)
 
     @property
     def position(self) -> float | None:
@@ -221,7 +221,7 @@ class Device:
         return self.family.layout(block).encode(values)
 
     def accept(self, reply: Reply) -> bool:
-        """Store the values of a reading and return True, unless its position is implausible."""
+        """Store the values of a reading; return False if its position is implausible."""
         block, data, status_byte, time = reply
         notable = self.codec.decode([self.index], [(data, status_byte)], block.address, time, inf)
         is_accepted = not notable or self.check_reading(bool(notable[0][1]), status_byte, time)
@@ -235,7 +235,7 @@ class Device:
         return self._reading()[2]
 
     def _reading(self) -> list[float]:
-        """Return the last accepted reading as `ServoCodec.reading`; without codec, 3 numbers."""
+        """Return the last accepted reading, see `ServoCodec.reading`; 3 numbers without codec."""
         if self._codec is None:
             return self._last_reading
         reading: list[float] = self._codec.reading(self.index).tolist()
@@ -244,8 +244,8 @@ class Device:
     def check_reading(self, is_accepted: bool, status_byte: int, time: float) -> bool:
         """Check a reading for faults, and return `is_accepted`.
 
-        The codec calls for this check only in readings with an anomaly. `MAX_JUMPS` implausible
-        positions in a row are a fault.
+        Only readings in which the codec has found an anomaly need this check. `MAX_JUMPS`
+        implausible positions in a row are a fault.
 
         Args:
             is_accepted: Result of `ServoCodec.decode`: False if the position is implausible.
@@ -261,8 +261,8 @@ class Device:
                 )
             return False
         self.fault("seam", turns != 0.0 and not self.multi_turn, SEAM_TEXT)
-        found = {"voltage": voltage, "temperature": temperature}
-        values = {name: int(value) for name, value in found.items() if not isnan(value)}
+        readings = {"voltage": voltage, "temperature": temperature}
+        values = {name: int(value) for name, value in readings.items() if not isnan(value)}
         if "voltage" in values:
             self._last_good_voltage = max(self._last_good_voltage, supplied)
         self._note(values, status_byte, time)
@@ -296,8 +296,8 @@ class Device:
         `status_byte` is the status of the reply.
         """
         if status_byte or self.conditions:
-            before, self.conditions = self.conditions, status.conditions(self.family, status_byte)
-            self.alerts += bool(set(self.conditions) - set(before))
+            previous, self.conditions = self.conditions, status.conditions(self.family, status_byte)
+            self.alerts += bool(set(self.conditions) - set(previous))
         if "voltage" in values:
             self.set_voltage(values["voltage"] / 10.0, time)
         if "temperature" in values:
@@ -373,12 +373,12 @@ class Device:
     def record_sent(self, goal: int, limit: int, packet: bytes = b"") -> None:
         """Record the values of goal and limit register in a packet that was sent.
 
-        `packet` are its bytes from the first register on, if the cycle has only this packet.
+        `packet` contains the bytes written to the first block of registers; empty if unknown.
         """
         self.goal, self.limit, self._packet = goal, limit, packet
         self._writes += 1
 
-    def _compare(self, key: str, found: int, written: int, time: float) -> None:
+    def _compare(self, key: str, value: int, written: int, time: float) -> None:
         """Compare a register with the written value, because a servo may reject packets silently.
 
         Single packets also get lost, so a mismatch is a fault only after `MISMATCHES` packets and
@@ -386,12 +386,12 @@ class Device:
 
         Args:
             key: Register: `goal` or `limit`.
-            found: Value read.
+            value: Value read.
             written: Value written.
             time: Time of the reading [s].
         """
         read_back = self._read_backs[key]
-        if not self.enabled or found == written:
+        if not self.enabled or value == written:
             read_back.wrong, read_back.matched = 0, time
         elif read_back.write != self._writes:
             read_back.wrong += 1
@@ -400,18 +400,18 @@ class Device:
         self.has_mismatch = bool(self._read_backs["goal"].wrong or self._read_backs["limit"].wrong)
         is_wrong = read_back.wrong >= MISMATCHES and time - read_back.matched > MISMATCH_TIME
         if is_wrong or self.other_faults:
-            self.fault(key, is_wrong, self._mismatch(key, found, written) if is_wrong else "")
+            self.fault(key, is_wrong, self._mismatch(key, value, written) if is_wrong else "")
 
-    def _mismatch(self, key: str, found: int, written: int) -> str:
+    def _mismatch(self, key: str, value: int, written: int) -> str:
         """Return the fault text for a register `goal` or `limit` that did not take its value."""
         if key == "limit":
             name, values = (
                 "torque limit",
-                [f"{self.units.torque(n):.3g} N·m" for n in (found, written)],
+                [f"{self.units.torque(n):.3g} N·m" for n in (value, written)],
             )
         else:
-            name, values = "goal", [f"{self.angle(n):.3g} rad" for n in (found, written)]
+            name, values = "goal", [f"{self.angle(n):.3g} rad" for n in (value, written)]
         return (
-            f"its {name} reads {found} ({values[0]}), written was {written} ({values[1]}): "
+            f"its {name} reads {value} ({values[0]}), written was {written} ({values[1]}): "
             "writes do not arrive, or it rejects them"
         )

@@ -4,39 +4,45 @@ from __future__ import annotations
 
 import time
 from contextlib import suppress
+from math import inf
 from typing import TYPE_CHECKING, NamedTuple
 
 from pliant._core import ServoError, ServoFaultError
 from pliant.servo._handshake import RegisterImage, read_image
 from pliant.servo._port import write_groups
 from pliant.servo._status import refusal
+from pliant.servo._transactions import Reply
 from pliant.servo.transport import BusError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from pliant.servo._device import Device
-    from pliant.servo._port import Port
+    from pliant.servo._port import Group, Port
 
     Ports = Mapping[int, Port]
 
-#: Largest motion of a joint while its torque comes on [rad], besides falling and settling; a larger
-#: motion switches the torque off again.
+#: Largest motion of a joint while its torque comes on [rad], beyond the motion that falling and the
+#: position error under load explain; a larger motion switches the torque off again.
 MAX_MOTION = 0.05
 #: Largest difference of measured and expected position at which torque is switched on [rad].
 MAX_START_ERROR = 0.15
-#: Number of attempts to send goal and limit until they read back as written; distance from its goal
-#: above which a joint without torque gets a new goal [rad].
-MAX_SENDS, MAX_DRIFT = 5, 0.01
-#: Longest time in which a servo must answer after a reboot [s].
+#: Number of attempts to send goal and limit until they read back as written.
+MAX_SENDS = 5
+#: Distance from its goal above which a joint without torque gets a new goal [rad].
+MAX_DRIFT = 0.01
+#: Time within which a servo must answer after a reboot [s].
 REBOOT = 2.0
-#: Time without a new answer after which `ServoBus.reopen` waits no longer for silent servos [s].
+#: `ServoBus.reopen` gives up silent servos when no further servo has answered for this time [s].
 RESUME_TIME = 3.0
 #: Registers that are read and checked before torque is switched on.
 _CHECKED = ("torque_enable", "position", "hardware_error", "watchdog", "voltage")
-#: Number of torque-off packets to a servo that does not reply, and largest number of attempts to
-#: send them: on a noisy line, an attempt may fail.
-OFF_PACKETS, OFF_TRIES = 3, 30
+#: Registers of the first command, in the order of `FirstCommand`.
+_COMMANDED = ("goal", "limit", "speed_cap")
+#: Number of torque-off packets to a servo that does not reply.
+OFF_PACKETS = 3
+#: Largest number of attempts to send them: on a noisy line, an attempt may fail.
+OFF_TRIES = 30
 MAY_BE_ON = "torque may still be on: "
 #: Text about servos whose registers could not be restored after torque off.
 KEPT = "torque limits and speeds are pliant's until the supply is switched off and on"
@@ -47,9 +53,11 @@ def enable(
     ports: Ports,
     goal: Sequence[float],
     limit: Sequence[float],
+    lead: Sequence[float],
+    *,
     max_speed: float,
 ) -> None:
-    """Switch torque on with the present positions as goals; see `ServoBus.enable`.
+    """Switch torque on with the present positions plus `lead` as goals; see `ServoBus.enable`.
 
     Limits and goals are written and read back before torque on. Afterwards torque and positions
     are verified; after a failure torque is switched off again. After a signal (KeyboardInterrupt,
@@ -60,68 +68,96 @@ def enable(
         ports: Port of each servo.
         goal: Expected joint positions (n,) [rad].
         limit: Torque limits (n,) [N·m].
-        max_speed: Largest joint speed [rad/s]; 0: that without load.
+        lead: Goal minus position of joints without torque (n,) [rad].
+        max_speed: Largest joint speed [rad/s]; 0: the no-load speed.
     """
-    before = {}
+    images = {}
     for device in devices:
-        before[id(device)] = _check_state(device, ports, goal)
-    switched = [d for d in devices if not before[id(d)]["torque_enable"]]
+        images[id(device)] = _check_state(device, ports, goal)
+    switched = [d for d in devices if not images[id(d)]["torque_enable"]]
     indices = [device.index for device in devices]
-    rows = devices[0].codec.encode(indices, goal, limit, None, max_speed)
-    commands = {id(d): FirstCommand(*row[:3]) for d, row in zip(devices, rows, strict=True)}
+    codec = devices[0].codec
+    columns = codec.encode(indices, goal, limit, None, max_speed)[:3]
+    ahead = [angle + extra for angle, extra in zip(goal, lead, strict=True)]
+    leading_goals = codec.encode(indices, ahead, limit, None, max_speed)[0]
+    commands, leads = {}, {}
+    for device, row, leading in zip(
+        devices, zip(*columns, strict=True), leading_goals, strict=True
+    ):
+        commands[id(device)] = FirstCommand(*row)
+        leads[id(device)] = leading - row[0]
     is_sent = False
     try:
         for device in devices:
-            if _has_tripped(device, before):
+            if _has_tripped(device, images):
                 _set(device, ports, "watchdog", 0)
             _write_limits(device, ports, commands[id(device)].limit)
         # Read the positions for the goals only now: an arm without torque may be sinking.
         start = {id(d): _image(d, ports, "position", "speed") for d in devices}
         for device in switched:
-            goal_register = start[id(device)]["position"]
+            goal_register = _goal(device, start[id(device)], leads[id(device)])
             commands[id(device)] = commands[id(device)]._replace(goal=goal_register)
         # Failures from here on may leave torque on: on some servos a goal switches it on.
         is_sent = True
         for port in dict.fromkeys(ports[id(device)] for device in devices):
             served = [device for device in devices if ports[id(device)] is port]
             port.write(
-                (group, [_encoded(device, commands[id(device)]) for device in group.devices])
+                (group, _encoded(group, [commands[id(device)] for device in group.devices]))
                 for group in write_groups(served)
             )
+        # From here on, few requests: the arm may already hang on servos without feedback.
+        found = _images(devices, ports, *_COMMANDED, "torque_enable", "position", "speed")
+        switched_by_goal: dict[Port, list[Device]] = {}
         for device in devices:
-            start[id(device)] = _send_first_command(
-                device, ports, commands[id(device)], start[id(device)]
+            start[id(device)], is_on = _send_first_command(
+                device,
+                ports,
+                commands[id(device)],
+                (start[id(device)], found[id(device)]),
+                leads[id(device)],
             )
-            if device in switched:
+            if not is_on:
                 _set(device, ports, "torque_enable", 1)
+            elif device in switched:
+                switched_by_goal.setdefault(ports[id(device)], []).append(device)
+        for port, served in switched_by_goal.items():
+            # One packet: these servos have torque already, which is checked below.
+            for group in write_groups(served):
+                register = group.family.registers["torque_enable"]
+                ones = [register.encode(1)] * len(group.ids)
+                port.guard.sync_write(group.ids, register.address, ones)
+        found = _images(devices, ports, "torque_enable", "position")
         for device in devices:
-            _check_still(device, ports, start[id(device)])
+            _check_still(device, start[id(device)], found[id(device)])
+        # A reading now: after a silence, the first one would ask each servo whether it restarted.
+        for port in dict.fromkeys(ports[id(device)] for device in devices):
+            port.read(inf)
     except BaseException as error:
         if is_sent and not isinstance(error, Exception):
-            # After a signal the joints keep their torque, because the arm may hang on it; the
-            # caller lowers the arm. Servos without torque stay without.
+            # After a signal, torque stays as it is, because the arm may hang on it. All servos
+            # count as enabled, so that the caller's goals lower every joint that has torque.
             for device in devices:
                 device.enabled = device.torque_on = True
             raise
-        left = [why for device in switched if (why := _try_off(device, ports))]
+        failures = [text for device in switched if (text := _try_off(device, ports))]
         if not (switched and is_sent and isinstance(error, ServoError)):
             raise
-        if left:
-            state = f"{MAY_BE_ON}{'; '.join(left)}\nsupport the arm and cut the supply"
+        if failures:
+            state = f"{MAY_BE_ON}{'; '.join(failures)}\nsupport the arm and cut the supply"
         else:
             names = ", ".join(device.name for device in switched)
             where = "all joints" if len(switched) == len(devices) else names
             state = f"torque is OFF again in {where}: what it carried falls"
-        kept = [device.name for device in switched if device.is_unrestored]
-        if kept:
-            state += f"\n{', '.join(kept)}: {KEPT}"
+        unrestored = [device.name for device in switched if device.is_unrestored]
+        if unrestored:
+            state += f"\n{', '.join(unrestored)}: {KEPT}"
         raise ServoError(f"{error}\n{state}") from error
     for device in devices:
         device.enabled = device.torque_on = True
 
 
 def resume(devices: Sequence[Device], ports: Ports, budget: float, patience: float) -> list[Device]:
-    """Read the servos of a program that has ended, and drive those whose torque is on.
+    """Read the servos that an ended program has left, and enable those whose torque is on.
 
     Each servo is asked until it answers, or until no servo has answered for the time `patience`. A
     servo that does not answer keeps goal and limit, and gets no goals.
@@ -129,7 +165,7 @@ def resume(devices: Sequence[Device], ports: Ports, budget: float, patience: flo
     Args:
         devices: The servos.
         ports: Port of each servo.
-        budget: Time for each try of a servo [s].
+        budget: Time for each attempt to read a servo [s].
         patience: Time without an answer after which no servo is asked again [s]; 0: each servo is
             asked once.
 
@@ -181,10 +217,16 @@ class FirstCommand(NamedTuple):
     speed: int
 
 
-def _encoded(device: Device, command: FirstCommand) -> tuple[int, int, int, bytes, bytes]:
-    """Return register values and packets of a command, in the format of `ServoCodec.encode`."""
-    packets = [device.packet(names, *command) for names in device.family.write]
-    return (*command, packets[0], packets[-1])
+def _encoded(
+    group: Group, commands: Sequence[FirstCommand]
+) -> tuple[list[int], list[int], list[int], list[bytes], list[bytes]]:
+    """Return registers and packets of the commands, in the format of `ServoCodec.encode`."""
+    goals, limits, speeds = map(list, zip(*commands, strict=True))
+    packets = [
+        [device.packet(names, *row) for device, row in zip(group.devices, commands, strict=True)]
+        for names in group.family.write
+    ]
+    return goals, limits, speeds, packets[0], packets[-1]
 
 
 def _write_limits(device: Device, ports: Ports, limit: int) -> None:
@@ -209,9 +251,19 @@ def _write_limits(device: Device, ports: Ports, limit: int) -> None:
             )
 
 
+def _goal(device: Device, image: RegisterImage, lead: int) -> int:
+    """Return the goal register of a joint at the position in `image`, with a lead [counts]."""
+    goal = image["position"] + lead
+    return goal if device.multi_turn else min(max(goal, device.low), device.high)
+
+
 def _send_first_command(
-    device: Device, ports: Ports, command: FirstCommand, start: RegisterImage
-) -> RegisterImage:
+    device: Device,
+    ports: Ports,
+    command: FirstCommand,
+    images: tuple[RegisterImage, RegisterImage],
+    lead: int,
+) -> tuple[RegisterImage, bool]:
     """Check that goal, limit and speed cap read back as written, and send them again if not.
 
     A joint without torque that has moved since its position was read gets a new goal.
@@ -220,34 +272,37 @@ def _send_first_command(
         device: The servo.
         ports: Port of each servo.
         command: Register values that were sent.
-        start: Registers with the position from which the goal was made, and with the speed.
+        images: Registers with the position from which the goal was made, and with the speed; and
+            registers after the command was sent.
+        lead: Goal minus position of a joint without torque [counts].
 
     Returns:
-        Registers with position and speed from which the final goal was made.
+        Registers with position and speed from which the final goal was made, and True if the torque
+        is on: on some servos, the goal switches it on.
 
     Raises:
         ServoError: The registers still differ from the values written after `MAX_SENDS` attempts.
     """
-    expected_values = command._asdict()
-    expected_values["speed_cap"] = expected_values.pop("speed")
-    found = start
+    expected_values = dict(zip(_COMMANDED, command, strict=True))
+    start, image = images
     for _ in range(MAX_SENDS):
-        found = _image(device, ports, *expected_values, "torque_enable", "position", "speed")
-        off = not found["torque_enable"]
-        apart = abs(found["position"] - expected_values["goal"]) * device.units.count
-        wrong = [name for name, value in expected_values.items() if found[name] != value]
-        if not wrong and not (off and apart > MAX_DRIFT):
-            return start
-        if off:
-            expected_values["goal"], start = found["position"], found
+        is_off = not image["torque_enable"]
+        goal = _goal(device, image, lead)
+        drift = abs(goal - expected_values["goal"]) * device.units.count
+        differing = [name for name, value in expected_values.items() if image[name] != value]
+        if not differing and not (is_off and drift > MAX_DRIFT):
+            return start, not is_off
+        if is_off:
+            expected_values["goal"], start = goal, image
         for names in device.family.write:
             data = device.packet(names, expected_values["goal"], command.limit, command.speed)
             _send(device, ports, names[0], data)
         device.record_sent(expected_values["goal"], command.limit)
+        image = _image(device, ports, *_COMMANDED, "torque_enable", "position", "speed")
     raise ServoError(
-        f"{device.name} did not take its {' and '.join(wrong) or 'goal'}: "
+        f"{device.name} did not take its {' and '.join(differing) or 'goal'}: "
         + ", ".join(
-            f"{n} reads {found[n]}, written was {expected_values[n]}" for n in wrong or ["goal"]
+            f"{n} reads {image[n]}, written was {expected_values[n]}" for n in differing or ["goal"]
         )
     )
 
@@ -282,28 +337,27 @@ def _check_state(device: Device, ports: Ports, goal: Sequence[float]) -> Registe
     return image
 
 
-def _has_tripped(device: Device, before: Mapping[int, RegisterImage]) -> bool:
-    image = before[id(device)]
+def _has_tripped(device: Device, images: Mapping[int, RegisterImage]) -> bool:
+    image = images[id(device)]
     return "watchdog" in image and image["watchdog"] == 255
 
 
-def _check_still(device: Device, ports: Ports, before: RegisterImage) -> None:
+def _check_still(device: Device, before: RegisterImage, image: RegisterImage) -> None:
     """Check that torque is on, and that the joint has moved no farther than falling explains.
 
-    `before` contains position and speed of the servo before torque on.
+    `before` contains position and speed of the servo before torque on, `image` the present ones.
     """
-    image = _image(device, ports, "torque_enable", "position")
     if not image["torque_enable"]:
         raise ServoError(f"{device.name} did not switch its torque on")
-    moved = abs(image["position"] - before["position"]) * device.units.count
+    motion = abs(image["position"] - before["position"]) * device.units.count
     passed = image.time - before.time
     fall = 2.0 * abs(device.units.velocity(before["speed"])) * passed
-    # Allow also the position error with which the servo exerts its torque limit: limit / k_p.
+    # Also allow the position error at which the servo exerts its torque limit: limit / k_p.
     kp = device.spec.kp or device.units.stiffness(device.gain)
     sag = device.units.torque(device.limit) / kp
-    if moved > MAX_MOTION + fall + sag:
+    if motion > MAX_MOTION + fall + sag:
         raise ServoError(
-            f"{device.name} moved by {moved:.2f} rad as its torque came on. "
+            f"{device.name} moved by {motion:.2f} rad as its torque came on. "
             "A limit below what carries its weight lets it sink, a wrong Homing Offset lets it jump"
         )
 
@@ -412,6 +466,43 @@ def _image(device: Device, ports: Ports, *names: str) -> RegisterImage:
     for reply in image.replies:
         device.note(reply)
     return image
+
+
+def _images(devices: Sequence[Device], ports: Ports, *names: str) -> dict[int, RegisterImage]:
+    """Read the registers `names` of several servos, as `_image` does, with few requests.
+
+    Servos of one port and kind answer one request per block; after a failure, and for kinds
+    without such requests, each servo is read alone.
+    """
+    found: dict[int, RegisterImage] = {}
+    groups: dict[tuple[int, int], list[Device]] = {}
+    for device in devices:
+        groups.setdefault((id(ports[id(device)]), id(device.family)), []).append(device)
+    for group in groups.values():
+        if group[0].family.sync_read and len(group) > 1:
+            with suppress(BusError):
+                found.update(_sync_images(group, ports[id(group[0])], names))
+    return {id(d): found.get(id(d)) or _image(d, ports, *names) for d in devices}
+
+
+def _sync_images(
+    group: Sequence[Device], port: Port, names: Sequence[str]
+) -> dict[int, RegisterImage]:
+    """Read registers of servos of one port and kind, with one request per block.
+
+    Raises:
+        BusError: A reply is missing or corrupt.
+    """
+    replies: dict[int, list[Reply]] = {id(device): [] for device in group}
+    port.guard.start_cycle()
+    for wanted in group[0].family.blocks(*names):
+        block, answers, time = port.guard.sync_read([device.id for device in group], wanted)
+        for device, (data, status) in zip(group, answers, strict=True):
+            replies[id(device)].append(Reply(block, data, status, time))
+    for device in group:
+        for reply in replies[id(device)]:
+            device.note(reply)
+    return {id(device): RegisterImage(device, *replies[id(device)]) for device in group}
 
 
 def _set(device: Device, ports: Ports, name: str, value: int) -> None:

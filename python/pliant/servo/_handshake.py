@@ -13,6 +13,7 @@ from pliant._core import ServoError
 from pliant.servo import _status as status
 from pliant.servo._device import TRIPPED
 from pliant.servo._transactions import RESPONSE_DELAY
+from pliant.servo.eeprom import OVERLOAD_BIT
 from pliant.servo.models import by_number
 from pliant.servo.transport import BusError
 
@@ -23,9 +24,7 @@ if TYPE_CHECKING:
 
 #: Highest id that is pinged when a servo is missing, for the list of ids that answer.
 NEARBY = 20
-#: Number of the bit of the register Shutdown that enables overload protection.
-OVERLOAD_BIT = 5
-#: Delay of replies beyond the wire time above which the adapter seems to delay them [s].
+#: Delay of replies beyond the wire time above which the adapter is reported to delay them [s].
 MIN_HOLD_BACK = 0.008
 #: Number of the bit of Feetech's register Phase that is set if the unit of speed is 1 step/s.
 SPEED_UNIT_BIT = 2
@@ -140,7 +139,7 @@ def identify(port: Port) -> tuple[ServoInfo, ...]:
     errors = _broken(port, broken, all_of_them=not images and not missing)
     if missing:
         errors.insert(0, _missing(port, missing))
-    found = []
+    infos = []
     faulty: dict[str, list[str]] = {}
     for device, image in images:
         faults = _check(device, image)
@@ -148,22 +147,22 @@ def identify(port: Port) -> tuple[ServoInfo, ...]:
             faulty.setdefault(text, []).append(f"{device.spec.name} (id {device.id})")
         if not faults:
             try:
-                found.append(_store_registers(device, image))
+                infos.append(_store_registers(device, image))
             except ServoError as error:
                 errors.append(str(error))
     errors += [f"{', '.join(names)} on {port.path}: {text}" for text, names in faulty.items()]
     if errors:
         raise ServoError("\n".join(errors))
-    port.guard.response_delay = RESPONSE_DELAY + max(info.return_delay for info in found)
+    port.guard.response_delay = RESPONSE_DELAY + max(info.return_delay for info in infos)
     if note := _adapter_note(port):
-        found = [replace(info, notes=(*info.notes, note)) for info in found]
-    return tuple(found)
+        infos = [replace(info, notes=(*info.notes, note)) for info in infos]
+    return tuple(infos)
 
 
 def _adapter_note(port: Port) -> str:
     """Return a warning if the USB adapter holds replies back, else an empty text.
 
-    The delay is that of the adapter's latency timer, or is measured.
+    The delay is read from the adapter's latency timer, or measured.
     """
     guard = port.guard
     if guard.held_back > MIN_HOLD_BACK and guard.held_back > (port.latency or 0.0):
@@ -203,10 +202,10 @@ def _broken(port: Port, broken: list[tuple[Device, BusError]], *, all_of_them: b
 def _missing(port: Port, missing: list[Device]) -> str:
     """Return an error text that names the servos without an answer, and the ids that answer."""
     expected = {device.id for device in port.devices}
-    gone = {device.id for device in missing}
+    silent = {device.id for device in missing}
     nearby = [i for i in range(NEARBY + 1) if i not in expected and port.guard.ping(i)]
     names = ", ".join(f"{device.spec.name} (id {device.id})" for device in missing)
-    answering = sorted(expected - gone | set(nearby))
+    answering = sorted(expected - silent | set(nearby))
     if not answering:
         return (
             f"no servo answers on {port.path}: is their power on, is it the right port, and is the "
@@ -220,7 +219,7 @@ def _missing(port: Port, missing: list[Device]) -> str:
 
 
 def _check(device: Device, image: RegisterImage) -> list[str]:
-    """Return error texts for all that prevents control of a servo; empty if the servo is usable."""
+    """Return a text for each obstacle to control of a servo; empty if the servo is usable."""
     row = device.row
     number = image["model"]
     if number != row.model_number:
@@ -250,7 +249,7 @@ def _check(device: Device, image: RegisterImage) -> list[str]:
 
 
 def _store_initial_values(device: Device, image: RegisterImage) -> None:
-    """Store register values that torque off restores, and those that torque on writes.
+    """Store the register values that torque off restores, and the values that torque on writes.
 
     If torque is on or the limit is 0, an earlier program or an overload has set limit and speed
     cap; the values to restore are then those after power-up.
@@ -270,7 +269,7 @@ def _store_initial_values(device: Device, image: RegisterImage) -> None:
 def _supply(device: Device, image: RegisterImage) -> tuple[float, float]:
     """Return lowest and highest supply voltage [V] at which the servo may be driven.
 
-    They are the limits in the servo's EEPROM, at most 0.5 V outside those of the data sheet.
+    They are the limits in the servo's EEPROM, clipped to the range of the data sheet ±0.5 V.
     """
     lowest, highest = device.row.voltage
     low, high = image["voltage_min"] / 10.0, image["voltage_max"] / 10.0
@@ -340,8 +339,8 @@ def _store_registers(device: Device, image: RegisterImage) -> ServoInfo:
     device.temperature = float(image["temperature"])
     device.multi_turn = family.multi_turn or (family.status == "p2" and image["mode"] == 4)
     low, high = image["position_min"], image["position_max"]
-    own = not device.multi_turn and low < high
-    device.low, device.high = (low, high) if own else (0, row.max_position)
+    has_range = not device.multi_turn and low < high
+    device.low, device.high = (low, high) if has_range else (0, row.max_position)
     device.set_range()
     if "overload_torque" in image:
         device.overload = image["overload_torque"] / 100.0
@@ -399,18 +398,18 @@ def _calibration_differences(device: Device, image: RegisterImage) -> list[str]:
     known = device.family.registers
     differences = []
     for name, expected in file.registers(known).items():
-        have = image[name] & 1 if name == "drive_mode" else image[name]
-        if have == (expected & 1 if name == "drive_mode" else expected):
+        actual = image[name] & 1 if name == "drive_mode" else image[name]
+        if actual == (expected & 1 if name == "drive_mode" else expected):
             continue
         if name == "homing_offset":
-            effect = f"its zero would be off by {_degrees(device, expected - have):.3g}°"
+            effect = f"its zero would be off by {_degrees(device, expected - actual):.3g}°"
         elif name == "drive_mode":
             effect = "it counts in the opposite direction"
         else:
             middle = (image["position_min"] + image["position_max"]) / 2.0
             effect = f"its zero would be off by {_degrees(device, file.middle - middle):.3g}°"
         differences.append(
-            f"the calibration file says {LEROBOT_NAMES[name]} {expected}, the servo {have}: "
+            f"the calibration file says {LEROBOT_NAMES[name]} {expected}, the servo {actual}: "
             f"{effect}; {CALIBRATION_REMEDY}"
         )
     return differences

@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from pliant.servo.models.base import Protocol as Wire
     from pliant.servo.transport import Transport
 
-    #: Servos of one kind, and for each of them the values of goal, limit and speed cap register and
-    #: the packets, as `ServoCodec.encode` returns them.
-    Packets = tuple["Group", Sequence[tuple[int, int, int, bytes, bytes]]]
+    #: Servos of one kind, and goal, limit and speed cap registers and packets of each of them, as
+    #: `ServoCodec.encode` returns them.
+    Packets = tuple["Group", tuple[list[int], list[int], list[int], list[bytes], list[bytes]]]
 
 #: A servo that is silent for `MAX_MISSES` cycles is skipped for `PROBE_CYCLES` cycles, because it
 #: costs a timeout in each cycle in which it is read.
@@ -31,8 +31,8 @@ MAX_MISSES, PROBE_CYCLES = 3, 8
 #: After a time without readings, a servo may have restarted with torque off. The time is the longer
 #: of `RESTART` [s] and `RESTART_CYCLES` control periods.
 RESTART, RESTART_CYCLES = 0.1, 3.0
-#: Largest share of a control period for reading status registers of all servos, by a request for
-#: their torque state or by longer readings.
+#: Largest share of a control period that reading the status registers of all servos may take, by
+#: a request for their torque state or by longer readings.
 STATUS_SHARE = 0.2
 #: Register Bus Watchdog: its unit [s], its largest value, and the number of tries to set it.
 WATCHDOG_UNIT, MAX_WATCHDOG, WATCHDOG_TRIES = 0.02, 127, 4
@@ -46,8 +46,10 @@ class Group:
         family: Their family.
         ids: Ids of the servos.
         indices: Indices of the servos in the codec.
-        decoder: Codec that stores readings while the replies arrive; None: the transport cannot.
-        read_with_status: Blocks of a reading that contains the status; empty: status is read apart.
+        decoder: Codec that stores readings while the replies arrive; None if the transport does not
+            support it.
+        read_with_status: Blocks of a reading that contains the status registers too; empty: they
+            are read separately.
     """
 
     def __init__(self, devices: Sequence[Device]) -> None:
@@ -126,9 +128,9 @@ class Port:
         return [device for device in self.devices if device.id not in self._silent]
 
     def can_read_all(self) -> bool:
-        """Return True if one request per cycle can read a byte of all servos fast enough.
+        """Return True if one request reads a byte of all servos in `STATUS_SHARE` of a cycle.
 
-        Fast enough is `STATUS_SHARE` of a control period.
+        Return False if the servos do not support it, or the port is gone.
         """
         family = self.devices[0].family
         if not family.sync_read or family.status != "p2" or self.guard.is_gone:
@@ -274,7 +276,8 @@ class Port:
     ) -> list[Packets]:
         """Return the packets for servos with torque on, one entry per kind of servo.
 
-        The arguments are those of `ServoCodec.encode`, which may raise, also for other servos.
+        The arguments are those of `ServoCodec.encode`. It also checks the values for servos without
+        torque, and raises its errors for these.
         """
         groups = self._write_groups
         enabled = [device for device in self.devices if device.enabled]
@@ -297,8 +300,7 @@ class Port:
         Raises:
             BusError: A packet could not be sent.
         """
-        for group, commands in packets:
-            goals, limits, _, *data = zip(*commands, strict=True)
+        for group, (goals, limits, _, *data) in packets:
             for block, items in zip(group.family.write_blocks, data, strict=False):
                 self.guard.sync_write(group.ids, block.address, items)
             for device, goal, limit, packet in zip(
@@ -319,20 +321,20 @@ class Port:
         """Read several servos with one request; add the indices of plausible ones to `accepted`.
 
         If the request fails, read the servos one by one, the servo that failed last. The reading
-        contains the status once `StatusPoller` has taken that of all these servos, of which the
-        last has its turn last. It saves the request for the status of one servo in each cycle.
+        includes the status registers when `StatusPoller` has used the previous status of every
+        servo; it takes the last servo last. This saves a separate status request in each cycle.
         """
         decoder = None if self._misses else group.decoder
         blocks = group.read_with_status
         if not blocks or group.devices[-1].has_new_status:
             blocks = group.family.read
         try:
-            found = self.guard.sync_decode(group.ids, blocks, decoder)
+            reading = self.guard.sync_decode(group.ids, blocks, decoder)
         except BusError as error:
             error.raise_if_gone()
             self._read_each(group, accepted, last=error.id, again=False)
             return
-        block, answers, notable, time = found
+        block, answers, notable, time = reading
         if answers is None:
             accepted += group.indices
             return
@@ -403,7 +405,7 @@ class Port:
             self._accept(device, reply, accepted)
 
     def _probe(self, accepted: list[int]) -> None:
-        """Read one skipped servo that has been skipped for `PROBE_CYCLES`, if there is one."""
+        """Read one servo that has been skipped for `PROBE_CYCLES` cycles, if there is one."""
         for number in self._silent:
             self._silent[number] -= 1
         due = [device for device in self.devices if self._silent.get(device.id, 1) <= 0]
@@ -434,10 +436,10 @@ def latency_timer(path: str) -> float | None:
 
 def _groups(devices: Iterable[Device], key: Callable[[Device], Hashable]) -> list[Group]:
     """Return groups of the devices with equal keys, in the order in which the keys first appear."""
-    found: dict[Hashable, list[Device]] = {}
+    groups: dict[Hashable, list[Device]] = {}
     for device in devices:
-        found.setdefault(key(device), []).append(device)
-    return [Group(members) for members in found.values()]
+        groups.setdefault(key(device), []).append(device)
+    return [Group(members) for members in groups.values()]
 
 
 def write_groups(devices: Iterable[Device]) -> list[Group]:
@@ -487,8 +489,7 @@ class StatusPoller:
         if self._reads_torque and self._count % TORQUE_PERIOD == 0 and self._check_torque(ports):
             return None
         device, block = self._choose()
-        guard = ports[id(device)].guard
-        if block is None or guard.is_gone:
+        if block is None or (guard := ports[id(device)].guard).is_gone:
             return self._status(device.joint)
         try:
             device.note(guard.read(device.id, block))
@@ -504,7 +505,7 @@ class StatusPoller:
         too much of a cycle, are skipped.
 
         Returns:
-            True if a request was made and has not shown a servo that has lost its torque.
+            True if a request was made and did not show that a servo has lost its torque.
         """
         candidates = [port for port in dict.fromkeys(ports.values()) if port.can_read_all()]
         if not candidates:
@@ -525,7 +526,7 @@ class StatusPoller:
         return all(d.enabled for d in enabled)
 
     def _choose(self) -> tuple[Device, Block | None]:
-        """Return the next servo and its block to read; None: its last reading contained it."""
+        """Return the next servo and the block to read; None if its last reading contained it."""
         doubtful = [
             device
             for device in self._devices

@@ -101,6 +101,9 @@ class ServoBus:
         >>> chain.write([0.1], [0.5])
     """
 
+    #: True: `enable` has an argument `lead`, see `pliant.drive.Drive`.
+    accepts_lead = True
+
     def __init__(
         self,
         specs: Iterable[ServoSpec],
@@ -477,8 +480,8 @@ class ServoBus:
 
     # Methods that switch torque on and off.
 
-    def enable(self, goal: ArrayLike, limit: ArrayLike) -> None:
-        """Switch torque on in the present pose, with the present positions as goals.
+    def enable(self, goal: ArrayLike, limit: ArrayLike, lead: ArrayLike | None = None) -> None:
+        """Switch torque on in the present pose, with the present positions plus `lead` as goals.
 
         Torque limits and goals are written and checked before torque comes on, and the positions
         afterwards. A joint whose torque is on already keeps it, and gets `goal` as its goal.
@@ -486,6 +489,8 @@ class ServoBus:
         Args:
             goal: Expected joint positions (n,) [rad].
             limit: First torque limits (n,) [N·m].
+            lead: First goal minus position (n,) [rad] of joints without torque; None: 0. With it, a
+                joint carries its weight at once.
 
         Raises:
             ShapeError, ConfigError: A vector is not (n,), not finite or negative.
@@ -494,7 +499,9 @@ class ServoBus:
         """
         self._check_open()
         goals, limits = self._vector(goal, "goal"), self._vector(limit, "limit", unit="N·m")
-        sequences.enable(self._devices, self._port_of, goals, limits, self._speed or 0.0)
+        leads = [0.0] * len(goals) if lead is None else self._vector(lead, "lead")
+        speed = self._speed or 0.0
+        sequences.enable(self._devices, self._port_of, goals, limits, leads, max_speed=speed)
         if self._watchdog:
             self.watchdog(self._watchdog)
 

@@ -90,11 +90,11 @@ def plan_restore(
     Raises:
         ServoError: The servo does not answer, or is another model.
     """
-    own = [change for change in former if (change.joint, change.id) == (joint, id)]
-    if not own:
+    changes = [change for change in former if (change.joint, change.id) == (joint, id)]
+    if not changes:
         return []
     _check_model(io, joint, id, row)
-    required = {change.register: (change.old, "is as it was before") for change in own}
+    required = {change.register: (change.old, "is as it was before") for change in changes}
     return _differences(io, joint, id, row, required)
 
 
@@ -134,7 +134,7 @@ def _required_values(
 ) -> dict[str, tuple[int, str]]:
     """Return the value that each register must have, and the reason for it, by register name.
 
-    `overload` is True to include the end of overload protection.
+    If `overload` is True, the value of the register Shutdown disables overload protection.
     """
     family = row.family
     out: dict[str, tuple[int, str]] = {}
@@ -143,9 +143,9 @@ def _required_values(
     if family.status != "feetech":
         out["return_delay"] = (0, "answers at once: the loop is up to four times as fast")
         if overload:
-            mask = read(io, id, family, "shutdown") & ~(1 << OVERLOAD_BIT)
+            shutdown = read(io, id, family, "shutdown") & ~(1 << OVERLOAD_BIT)
             why = "a compliant arm often pushes at its limit; with this bit the servo then drops it"
-            out["shutdown"] = (mask, why)
+            out["shutdown"] = (shutdown, why)
     if family.status == "p2":
         mode = CURRENT_POSITION if row.limit_type == "current" else POSITION
         out["mode"] = (mode, "position control whose torque the limit bounds")
@@ -168,8 +168,8 @@ def write_changes(io: TransactionGuard, family: Family, required: Sequence[Regis
     """Write the changes `required` of one servo, and read each register back.
 
     Raises:
-        ServoError: Torque is on, or a register did not read back as written; the registers before
-            it have been changed.
+        ServoError: Torque is on, or a register did not read back as written; the changes before it
+            stay written.
     """
     if not required:
         return
@@ -183,9 +183,9 @@ def write_changes(io: TransactionGuard, family: Family, required: Sequence[Regis
     try:
         for change in required:
             _write(io, change.id, family, change.register, change.new)
-            if (found := read(io, change.id, family, change.register)) != change.new:
+            if (value := read(io, change.id, family, change.register)) != change.new:
                 raise ServoError(
-                    f"{change.joint} (id {change.id}): {change.register} reads {found} after "
+                    f"{change.joint} (id {change.id}): {change.register} reads {value} after "
                     f"{change.new} was written"
                 )
     finally:

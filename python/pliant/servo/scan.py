@@ -24,17 +24,19 @@ BAUDRATES = (1_000_000, 57_600, 115_200, 500_000, 2_000_000, 3_000_000, 4_000_00
 USUAL = range(41)
 #: All ids that both protocols allow.
 ALL = range(253)
-#: Part of the short reply timeout for a busy host, besides wire time and adapter latency [s].
+#: Margin of the short reply timeout for a busy host, added to wire time and adapter latency [s].
 TIMEOUT_MARGIN = 0.005
-#: Minimum of the long reply timeout, and of the silence before a request with it [s]. Adapters
-#: delay replies by up to 16 ms.
+#: Minimum of the long reply timeout, and of the silence before a request with that timeout [s].
+#: Adapters delay replies by up to 16 ms.
 LONG_TIMEOUT = 0.05
 #: Number of preceding ids that are asked again when data arrive, as these may be a late reply.
 IDS_TO_REPEAT = 12
-#: `UNUSED_ID` is assumed to have no servo; pings to it detect data on the line. After `MAX_PINGS`
-#: pings with data, the line counts as never silent. An id with corrupt replies gets `TRIES`
-#: requests.
-UNUSED_ID, MAX_PINGS, TRIES = 252, 20, 3
+#: Id that is assumed to have no servo; pings to it detect data on the line.
+UNUSED_ID = 252
+#: Number of pings with data after which the line counts as never silent.
+MAX_PINGS = 20
+#: Number of requests to an id whose replies are corrupt.
+TRIES = 3
 #: Longest response delay of a servo [s]: 500 µs is the makers' default, plus a margin.
 MAX_RESPONSE_DELAY = 0.0006
 SAME_ID_NOTE = (
@@ -80,7 +82,7 @@ def scan(
     transport: Callable[[str, int, Wire], Transport] = RustypotTransport,
     progress: Callable[[str], None] = lambda text: None,
 ) -> tuple[ScannedServo, ...]:
-    """Search a port for servos by a read request to every id, at every baud rate and protocol.
+    """Search a port for servos: read from every id, at every baud rate, in both protocols.
 
     Args:
         port: Path of the port; no other program may use it.
@@ -96,18 +98,18 @@ def scan(
         ServoError: The port cannot be opened, has vanished, or is never silent.
         ImportError: The extra `servo` is missing.
     """
-    asked = tuple(ids)
-    held_back = latency_timer(port) or 0.001
-    found: list[ScannedServo] = []
+    id_list = tuple(ids)
+    latency = latency_timer(port) or 0.001
+    servos: list[ScannedServo] = []
     for baudrate in baudrates:
         for protocol in ("p1", "p2"):
             progress(f"{port}, {baudrate} bit/s, Protocol {protocol[1]}.0")
             io = transport(port, baudrate, protocol)
             try:
-                found += _IdScan(io, port, baudrate, protocol, held_back).run(asked)
+                servos += _IdScan(io, port, baudrate, protocol, latency).run(id_list)
             finally:
                 io.close()
-    return tuple(found)
+    return tuple(servos)
 
 
 class _IdScan:
@@ -120,13 +122,13 @@ class _IdScan:
     """
 
     def __init__(
-        self, io: Transport, port: str, baudrate: int, protocol: Wire, held_back: float
+        self, io: Transport, port: str, baudrate: int, protocol: Wire, latency: float
     ) -> None:
         self._io, self._port, self._baudrate, self._protocol = io, port, baudrate, protocol
         wire = wire_time(
             protocol, "read", 1, 2, baudrate=baudrate, response_delay=MAX_RESPONSE_DELAY
         )
-        self._short_timeout = wire + held_back + TIMEOUT_MARGIN
+        self._short_timeout = wire + latency + TIMEOUT_MARGIN
         self._long_timeout = max(LONG_TIMEOUT, 3.0 * self._short_timeout)
 
     def run(self, ids: Sequence[int]) -> list[ScannedServo]:
@@ -139,23 +141,23 @@ class _IdScan:
         if not self._wait_for_silence():
             raise ServoError(f"{self._port}: {NOISE_MESSAGE}")
         known: dict[int, ScannedServo | None] = {}
-        for place, number in enumerate(ids):
+        for index, number in enumerate(ids):
             if number in known or not self._has_traffic(number):
                 continue
-            for again in ids[max(place - IDS_TO_REPEAT, 0) : place + 1]:
-                if known.get(again) is None:
-                    known[again] = self._identify(again)
+            for candidate in ids[max(index - IDS_TO_REPEAT, 0) : index + 1]:
+                if known.get(candidate) is None:
+                    known[candidate] = self._identify(candidate)
         if any(known.values()):
             for number in ids:
                 if number not in known:
                     known[number] = self._identify(number)
-        found = [servo for number in ids if (servo := known.get(number)) is not None]
-        if len(found) > 1 and all(servo.note == SAME_ID_NOTE for servo in found):
-            found = [replace(servo, note=BAD_LINE_NOTE) for servo in found]
-        return found
+        servos = [servo for number in ids if (servo := known.get(number)) is not None]
+        if len(servos) > 1 and all(servo.note == SAME_ID_NOTE for servo in servos):
+            servos = [replace(servo, note=BAD_LINE_NOTE) for servo in servos]
+        return servos
 
     def _has_traffic(self, number: int) -> bool:
-        """Send a request to id `number` with the short reply timeout; True: data have arrived."""
+        """Ask id `number` with the short reply timeout; return True if data have arrived."""
         self._io.set_timeout(self._short_timeout)
         try:
             self._io.read(number, MODEL_ADDRESSES[self._protocol][0], 2)
@@ -199,12 +201,12 @@ class _IdScan:
         if self._is_silent:
             return True
         for _ in range(MAX_PINGS):
-            before = time.perf_counter()
+            start = time.perf_counter()
             try:
                 self._io.ping(UNUSED_ID)
             except BusError as error:
                 error.raise_if_gone()
-            if time.perf_counter() - before >= self._long_timeout:
+            if time.perf_counter() - start >= self._long_timeout:
                 self._is_silent = True
                 return True
         return False

@@ -102,7 +102,7 @@ class ServoSpec:
         stall: Stall torque at the rated voltage [N·m]; None: the value of the model.
         torque_offset: Torque lost in the gears [N·m]: joint torque is limit register times torque
             per unit, minus this.
-        kp: Identified joint stiffness [N·m/rad]; None: the stiffness of the gain register.
+        kp: Identified joint stiffness [N·m/rad]; None: it is computed from the gain register.
         friction: Identified dry friction [N·m]; None: the value of the model.
         damping: Identified viscous damping of the gears [N·m·s/rad]; None: the value of the model.
         calibration: LeRobot's calibration of this joint; checked against the servo at open.
@@ -164,7 +164,7 @@ class ServoSpec:
         if not np.isfinite(bounds).all() or (len(bounds) == 2 and bounds[0] >= bounds[1]):
             raise ConfigError(f"{self.name}: lower must be below upper [rad], got {bounds}")
         known = [] if self.model_number is None else by_number(self.model_number)
-        if known and row.name not in [one.name for one in known]:
+        if known and row.name not in [model.name for model in known]:
             raise ConfigError(
                 f"{self.name}: model_number {self.model_number} is that of {known[0].name}, not of "
                 f"a servo that the package does not know: model = {known[0].name!r}"
@@ -188,7 +188,7 @@ class ServoSpec:
 
     @cached_property
     def row(self) -> ServoModel:
-        """Data of the servo model; values that this spec gives replace those of the table."""
+        """Data of the servo model; values in this spec replace the values of the table."""
         row = get_model(self.model)
         if all(value is None for value in (self.model_number, self.no_load, self.voltage)):
             return row
@@ -202,15 +202,15 @@ class ServoSpec:
     @property
     def servos(self) -> tuple[tuple[int, int], ...]:
         """Id and sign of each servo of the joint."""
-        own = ((self.id, self.sign),)
-        return own if self.secondary is None else (*own, self.secondary)
+        first = ((self.id, self.sign),)
+        return first if self.secondary is None else (*first, self.secondary)
 
 
 def check_specs(specs: Iterable[ServoSpec]) -> tuple[ServoSpec, ...]:
     """Check conditions across joints (unique names and ids, one protocol per port); return specs.
 
     Raises:
-        ConfigError: Names or ids repeat, or Dynamixel 1.0 and 2.0 share a port.
+        ConfigError: There are no specs, names or ids repeat, or Dynamixel 1.0 and 2.0 share a port.
     """
     specs = tuple(specs)
     if not specs:
@@ -229,16 +229,16 @@ def check_specs(specs: Iterable[ServoSpec]) -> tuple[ServoSpec, ...]:
         protocol = spec.row.family.protocol
         first, joint = protocols.setdefault(spec.port, (protocol, spec.name))
         if first != protocol:
-            one, two = (joint, spec.name) if first == "p1" else (spec.name, joint)
+            p1_joint, p2_joint = (joint, spec.name) if first == "p1" else (spec.name, joint)
             raise ConfigError(
-                f"{spec.port} has {one} on Protocol 1.0 and {two} on Protocol 2.0: one port speaks "
-                "one protocol (Feetech and Protocol 1.0 may share). Put the Protocol 2.0 servos on "
-                "an adapter of their own and give them its port"
+                f"{spec.port} has {p1_joint} on Protocol 1.0 and {p2_joint} on Protocol 2.0: one "
+                "port speaks one protocol (Feetech and Protocol 1.0 may share). Put the Protocol "
+                "2.0 servos on an adapter of their own and give them its port"
             )
     return specs
 
 
-RPM = 2.0 * pi / 60.0  # [rad/s]
+RPM = 2.0 * pi / 60.0  # one revolution per minute [rad/s]
 
 
 def at_voltage(table: tuple[tuple[float, float], ...], voltage: float) -> float:
@@ -336,8 +336,8 @@ class Units:
 
     def torque(self, register: int) -> float:
         """Return the joint torque [N·m] of a limit register, or of a current register with sign."""
-        size = abs(register) * self.torque_per_unit - self.spec.torque_offset
-        return max(size, 0.0) * (1 if register >= 0 else -1)
+        magnitude = abs(register) * self.torque_per_unit - self.spec.torque_offset
+        return max(magnitude, 0.0) * (1 if register >= 0 else -1)
 
     def register(self, torque: float, ceiling: int | None = None) -> int:
         """Return the value of the limit register for a joint torque, rounded down.
@@ -363,11 +363,11 @@ class Units:
 
         It is at most the stall torque.
         """
-        found = self._usable.get(ceiling)
-        if found is None:
-            found = min(self.torque(min(ceiling, self.full)), self._stall * self._ratio)
-            self._usable[ceiling] = found
-        return found
+        torque = self._usable.get(ceiling)
+        if torque is None:
+            torque = min(self.torque(min(ceiling, self.full)), self._stall * self._ratio)
+            self._usable[ceiling] = torque
+        return torque
 
     def angle(self, counts: float) -> float:
         """Return the joint angle [rad] of a servo position [counts]."""
@@ -416,8 +416,8 @@ def servos_of(
         differ by up to a factor of two.
 
     Raises:
-        ConfigError: A model is unknown, the voltage is out of range, or the number of gains differs
-            from that of the models.
+        ConfigError: `models` is a string, a model is unknown, the voltage is out of range, or the
+            number of gains differs from the number of models.
     """
     if isinstance(models, str):
         raise ConfigError(f"models is a list, one per joint: [{models!r}]")
@@ -494,6 +494,6 @@ def servos_from_units(
     )
 
 
-def _identified(table: Array, own: Sequence[float | None]) -> Array:
-    """Return `table`, with each value replaced by that in `own` unless that is None."""
-    return np.array([t if o is None else o for t, o in zip(table, own, strict=True)])
+def _identified(table: Array, identified: Sequence[float | None]) -> Array:
+    """Return `table` with each value replaced by the identified one, unless that is None."""
+    return np.array([t if i is None else i for t, i in zip(table, identified, strict=True)])

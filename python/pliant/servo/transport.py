@@ -184,7 +184,8 @@ class RustypotTransport:
     def sync_write(self, ids: Sequence[int], address: int, data: Sequence[bytes]) -> None:
         """Write `data[i]` to servo `ids[i]` from `address` on, in one packet without reply."""
         if self._descriptor is not None:
-            self._exchange(SYNC_WRITE, ids, (address, len(data[0])), list(data))
+            block = (address, len(data[0]))
+            self._locked(exchange, SYNC_WRITE, ids, block, list(data), self._timeout)
             return
         try:
             self._io.sync_write_raw_data(list(ids), address, [list(item) for item in data])
@@ -242,21 +243,15 @@ class RustypotTransport:
             self._descriptor = None
             self._io.close()
 
-    def _exchange(
-        self,
-        instruction: int,
-        ids: Sequence[int],
-        block: tuple[int, int],
-        data: list[bytes] | None = None,
-    ) -> Answers:
-        """Make a request of Protocol 1.0; the arguments are those of `exchange`.
+    def _exchange(self, instruction: int, ids: Sequence[int], block: tuple[int, int]) -> Answers:
+        """Make a request of Protocol 1.0 with replies; the arguments are those of `exchange`.
 
         The returned list ends with the first reply that has another number of data bytes.
 
         Raises:
             BusError: A reply is missing or corrupt, or the port is gone.
         """
-        found = self._locked(exchange, instruction, ids, block, data, self._timeout)
+        found = self._locked(exchange, instruction, ids, block, None, self._timeout)
         return self._broken(found, ids, block[1]) if isinstance(found, bytes) else found
 
     def _locked(self, call: Callable[..., T], *arguments: object) -> T:

@@ -122,7 +122,7 @@ def is_whole(value: object) -> bool:
     return isinstance(value, (int, float, np.integer)) and bool(value >= 0 and value == value // 1)
 
 
-def span(value: Any) -> tuple[float, float] | None:
+def outage_times(value: Any) -> tuple[float, float] | None:
     """Validate and return the time span (from, to) of a bus outage [s], or None for no outage."""
     if value is None:
         return None
@@ -137,7 +137,7 @@ def span(value: Any) -> tuple[float, float] | None:
     return start, end
 
 
-def delays(value: tuple[int, int]) -> tuple[int, int]:
+def check_delays(value: tuple[int, int]) -> tuple[int, int]:
     """Validate and return the delays of the bus, of readings and of commands [ticks]."""
     try:
         read, write = value
@@ -148,7 +148,7 @@ def delays(value: tuple[int, int]) -> tuple[int, int]:
     return int(read), int(write)
 
 
-def share(value: float, name: str) -> float:
+def probability(value: float, name: str) -> float:
     """Validate and return a probability in [0, 1]; `name` is its name in the error message."""
     if isinstance(value, (str, bytes)) or np.ndim(value) or not 0.0 <= float(value) <= 1.0:
         raise ConfigError(f"{name} must be in [0, 1], got {value!r}")
@@ -192,11 +192,12 @@ class Bus:
         seed: int,
     ) -> None:
         """Validate and store the parameters of the bus, which `Plant` documents."""
-        self._n, self._delay, self._outage, self._seed = n, delays(delay), span(bus_outage), seed
+        self._n, self._seed = n, seed
+        self._delay, self._outage = check_delays(delay), outage_times(bus_outage)
         if not is_whole(seed):
             raise ConfigError(f"seed must be a whole number, at least 0, got {seed!r}")
-        self._read_loss = share(read_loss, "read_loss")
-        self._write_loss = share(write_loss, "write_loss")
+        self._read_loss = probability(read_loss, "read_loss")
+        self._write_loss = probability(write_loss, "write_loss")
         self._encoder_step, self._encoder_flicker = encoder_step, encoder_flicker
         self._noise = noise
 
@@ -239,17 +240,19 @@ class Bus:
         return command
 
     def sample(self, q: Array, extra: Mapping[str, float], time: float) -> None:
-        """Send a reading of the positions at `time` [s], and set `state` to the one that arrives.
+        """Send a reading of the positions at `time` [s], and set `state` to the arriving reading.
 
         Args:
             q: True positions of the chain's joints (n,) [rad].
             extra: Positions of the off-chain joints by name [rad].
             time: Time of the reading [s].
         """
-        now = State(self._encoder.read(q), time=time, extra=extra)
-        old = self._reads.shift(now, silent=self._is_silent(time))
-        age = np.full(self._n, time - old.time)
-        self.state = State(old.q.copy(), None, old.time, self._reads.fresh, old.extra, age)
+        sent = State(self._encoder.read(q), time=time, extra=extra)
+        arriving = self._reads.shift(sent, silent=self._is_silent(time))
+        age = np.full(self._n, time - arriving.time)
+        self.state = State(
+            arriving.q.copy(), None, arriving.time, self._reads.fresh, arriving.extra, age
+        )
 
     def _is_silent(self, time: float) -> bool:
         return self._outage is not None and self._outage[0] <= time < self._outage[1]

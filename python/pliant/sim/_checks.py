@@ -26,7 +26,7 @@ def physics_steps(dt: float, rate: float) -> int:
         raise ConfigError(f"rate must be positive [Hz], got {rate!r}")
     steps = round(1.0 / (rate * dt))
     if steps < 1 or abs(steps * rate * dt - 1.0) > 1e-9:
-        raise ConfigError(f"a period of 1/{rate:g} s is no whole number of steps of {dt:g} s")
+        raise ConfigError(f"a period of 1/{rate:g} s is not a whole number of steps of {dt:g} s")
     return steps
 
 
@@ -36,14 +36,14 @@ def extra(model: Model, servos: Any | None) -> dict[str, Servos]:
     Tables of joints that the model does not have are omitted.
     """
     names = {joint.name for joint in model.joints} - set(model.joint_names)
-    found = {}
-    for name, own in dict(servos or {}).items():
-        instance(own, Servos, f"extra_servos[{name!r}]")
+    tables = {}
+    for name, table in dict(servos or {}).items():
+        instance(table, Servos, f"extra_servos[{name!r}]")
         if name in model.joint_names:
             raise ConfigError(f"extra_servos[{name!r}]: the joint is of the chain; use servos")
         if name in names:
-            found[name] = spread(own, 1)
-    return found
+            tables[name] = spread(table, 1)
+    return tables
 
 
 def load(payload: Any) -> tuple[float, Array] | None:

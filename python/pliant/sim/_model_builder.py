@@ -56,27 +56,26 @@ def rigid_groups(model: Model, off_chain: OffChain) -> list[Group]:
         children.setdefault(joint.parent, []).append(index)
     root = next(i for i, link in enumerate(model.links) if link.parent_joint is None)
     base = next(i for i, link in enumerate(model.links) if link.name == model.base)
-    rigid_groups = [Group(root, None, None, np.eye(4))]
+    groups = [Group(root, None, None, np.eye(4))]
     stack = [(root, 0, np.eye(4), False)]
     base_pose: Array = np.eye(4)
     while stack:
         link, group, pose, carried = stack.pop()
-        rigid_groups[group].members.append((link, pose))
+        groups[group].members.append((link, pose))
         if link == base:
             base_pose = pose
         for index in reversed(children.get(link, [])):
             joint = model.joints[index]
-            at = pose @ joint.origin.matrix
+            joint_pose = pose @ joint.origin.matrix
             is_carried = carried or joint.q_index is not None
             if _is_joint(model, joint, carried, off_chain):
-                rigid_groups.append(Group(joint.child, index, group, at))
-                stack.append((joint.child, len(rigid_groups) - 1, np.eye(4), is_carried))
+                groups.append(Group(joint.child, index, group, joint_pose))
+                stack.append((joint.child, len(groups) - 1, np.eye(4), is_carried))
             else:
-                stack.append(
-                    (joint.child, group, at @ _locked_displacement(model, joint), is_carried)
-                )
-    rigid_groups[0].pose = np.asarray(np.linalg.inv(base_pose), dtype=np.float64)
-    return rigid_groups
+                child_pose = joint_pose @ _locked_displacement(model, joint)
+                stack.append((joint.child, group, child_pose, is_carried))
+    groups[0].pose = np.asarray(np.linalg.inv(base_pose), dtype=np.float64)
+    return groups
 
 
 def _is_joint(model: Model, joint: Joint, carried: bool, off_chain: OffChain) -> bool:
@@ -139,9 +138,10 @@ def last_moving(model: Model) -> str:
 MIN_MASS, MIN_INERTIA = 1e-4, 1e-7
 #: Assumed effort limit of an off-chain joint without one in the URDF [N·m].
 OFF_CHAIN_EFFORT = 1.0
-#: Assumed armature (rotor inertia): of an off-chain servo, per effort limit [s²]; and of a mimic
-#: joint [kg·m²].
-OFF_CHAIN_ARMATURE, FOLLOWER_ARMATURE = 2e-3, 1e-4
+#: Assumed armature (rotor inertia) of an off-chain servo, divided by its effort limit [s²].
+OFF_CHAIN_ARMATURE = 2e-3
+#: Assumed armature of a mimic joint [kg·m²].
+FOLLOWER_ARMATURE = 1e-4
 #: Time constant of the constraint that makes a mimic joint follow its driving joint [s].
 MIMIC_TIME = 0.005
 
@@ -158,7 +158,7 @@ def add_joint(out: Build, body: mujoco.MjsBody, index: int, gains: Gains, creep:
     i = joint.q_index if joint.mimic is None else None
     if i is None:
         _limit(mj, joint.lower, joint.upper)
-        _loose_joint(out, mj, joint)
+        _set_up_off_chain(out, mj, joint)
         return
     _limit(mj, out.model.lower[i], out.model.upper[i])
     mj.armature = gains.armature[i]
@@ -179,8 +179,8 @@ def friction_impedance(creep: float) -> tuple[float, float]:
     return d, max(d, 0.95)
 
 
-def _loose_joint(out: Build, mj: mujoco.MjsJoint, joint: Joint) -> None:
-    """Set up an off-chain joint, as a mimic joint or with a servo that holds its locked angle."""
+def _set_up_off_chain(out: Build, mj: mujoco.MjsJoint, joint: Joint) -> None:
+    """Set inertia, friction and damping of an off-chain joint, and its servo unless it mimics."""
     if joint.mimic is not None:
         mj.armature = FOLLOWER_ARMATURE
         return
@@ -199,7 +199,7 @@ def _loose_joint(out: Build, mj: mujoco.MjsJoint, joint: Joint) -> None:
 def off_chain_servo(effort: float | None) -> Servos:
     """Return servo parameters of an off-chain joint, estimated from its effort limit [N·m].
 
-    An unknown effort limit (None) is assumed to be `OFF_CHAIN_EFFORT`.
+    If the limit is None or 0, `OFF_CHAIN_EFFORT` is assumed.
     """
     torque = effort or OFF_CHAIN_EFFORT
     return Servos(
@@ -226,7 +226,7 @@ def add_mass(
     moving: bool,
     payload: tuple[float, Array] | None,
 ) -> None:
-    """Set mass and inertia of a body to those of its group's links and of the loads on the tool.
+    """Set mass and inertia of a body: the sum over the links of its group and loads on the tool.
 
     Args:
         model: The robot, which may have a payload.
@@ -239,18 +239,18 @@ def add_mass(
     for index, pose in group.members:
         inertial = model.links[index].inertial
         if inertial is not None:
-            turn = pose[:3, :3] @ np.asarray(inertial.rotation, dtype=np.float64)
-            spread = turn @ np.asarray(inertial.inertia, dtype=np.float64) @ turn.T
+            rotation = pose[:3, :3] @ np.asarray(inertial.rotation, dtype=np.float64)
+            part = rotation @ np.asarray(inertial.inertia, dtype=np.float64) @ rotation.T
             parts.append(
                 (
                     float(inertial.mass),
                     pose[:3, :3] @ np.asarray(inertial.com) + pose[:3, 3],
-                    spread,
+                    part,
                 )
             )
         if model.links[index].name == model.tip:
-            own = model.payload
-            loads = [payload, own and (own.mass, own.com)]
+            known = model.payload
+            loads = [payload, known and (known.mass, known.com)]
             parts += [
                 (m, pose[:3, :3] @ c + pose[:3, 3], np.zeros((3, 3)))
                 for m, c in filter(None, loads)
@@ -263,9 +263,9 @@ def add_mass(
         mass += MIN_MASS
     com = sum(m * c for m, c, _ in parts) / mass
     inertia = np.zeros((3, 3))
-    for m, c, spread in parts:
+    for m, c, part in parts:
         r = c - com
-        inertia += spread + m * (r @ r * np.eye(3) - np.outer(r, r))
+        inertia += part + m * (r @ r * np.eye(3) - np.outer(r, r))
     if np.linalg.eigvalsh(inertia)[0] < MIN_INERTIA:
         inertia += MIN_INERTIA * np.eye(3)
     body.explicitinertial = True
@@ -275,40 +275,43 @@ def add_mass(
 
 
 def add_capsules(model: Model, body: mujoco.MjsBody, group: Group) -> None:
-    """Add capsules from the joint of a group to its child joints, which draw the group."""
+    """Add capsules, as a drawing of the group, from the joint of a group to its child joints."""
     members = dict(group.members)
     ends = [members[j.parent] @ j.origin.matrix for j in model.joints if j.parent in members]
-    reach = [float(np.linalg.norm(end[:3, 3])) for end in ends]
-    thick = float(np.clip(0.12 * max(reach, default=0.0), 0.008, 0.035))
-    for end, length in zip(ends, reach, strict=True):
-        if length > thick:
+    lengths = [float(np.linalg.norm(end[:3, 3])) for end in ends]
+    radius = float(np.clip(0.12 * max(lengths, default=0.0), 0.008, 0.035))
+    for end, length in zip(ends, lengths, strict=True):
+        if length > radius:
             geom = body.add_geom(
-                type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=(thick, 0.0, 0.0), contype=0, conaffinity=0
+                type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+                size=(radius, 0.0, 0.0),
+                contype=0,
+                conaffinity=0,
             )
             geom.fromto = (0.0, 0.0, 0.0, *end[:3, 3])
             geom.rgba = (0.75, 0.77, 0.80, 1.0)
 
 
-def add_mimics(out: Build, rigid_groups: list[Group]) -> None:
+def add_mimics(out: Build, groups: list[Group]) -> None:
     """Add constraints that make mimic joints follow their driving joints.
 
     If the driving joint is locked, the mimic joint is held at a constant angle.
     """
-    moving = {group.joint for group in rigid_groups}
+    moving = {group.joint for group in groups}
     for index in sorted(j for j in moving if j is not None):
         joint = out.model.joints[index]
         if joint.mimic is None:
             continue
         driver, rule = out.model.joints[joint.mimic.joint], joint.mimic
-        tie = out.spec.add_equality(name=f"mimic:{joint.name}", name1=joint.name)
-        tie.type, tie.objtype = mujoco.mjtEq.mjEQ_JOINT, mujoco.mjtObj.mjOBJ_JOINT
+        constraint = out.spec.add_equality(name=f"mimic:{joint.name}", name1=joint.name)
+        constraint.type, constraint.objtype = mujoco.mjtEq.mjEQ_JOINT, mujoco.mjtObj.mjOBJ_JOINT
         offset = rule.offset
         if rule.joint in moving:
-            tie.name2 = driver.name
+            constraint.name2 = driver.name
         else:
             offset += rule.multiplier * (driver.locked_at or 0.0)
-        tie.data[:5] = offset, rule.multiplier, 0.0, 0.0, 0.0
-        tie.solref = (MIMIC_TIME, 1.0)
+        constraint.data[:5] = offset, rule.multiplier, 0.0, 0.0, 0.0
+        constraint.solref = (MIMIC_TIME, 1.0)
 
 
 def add_servos(out: Build, gains: Gains) -> None:
@@ -317,8 +320,8 @@ def add_servos(out: Build, gains: Gains) -> None:
     for name, kp, kv, torque in zip(out.chain, gains.kp, gains.kv, gains.torque, strict=True):
         servo(out.spec, name, kp, kv, torque)
     for name in out.held:
-        own = resolve(out.extra[name])
-        servo(out.spec, name, own.kp[0], own.kv[0], own.torque[0])
+        extra = resolve(out.extra[name])
+        servo(out.spec, name, extra.kp[0], extra.kv[0], extra.torque[0])
 
 
 def servo(spec: mujoco.MjSpec, joint: str, kp: float, kv: float, torque: float) -> None:
@@ -415,16 +418,15 @@ def build_spec(
     spec.compiler.degree = False
 
     out = Build(spec, model, extra=dict(extra or {}))
-    cut = out.rigid_groups = rigid_groups(model, off_chain)
-    made = out.bodies
-    for group in cut:
-        parent = spec.worldbody if group.parent is None else made[group.parent]
+    groups = out.rigid_groups = rigid_groups(model, off_chain)
+    for group in groups:
+        parent = spec.worldbody if group.parent is None else out.bodies[group.parent]
         body = parent.add_body(
             name=f"body:{model.links[group.link].name}",
             pos=group.pose[:3, 3],
             quat=quat_of(group.pose),
         )
-        made.append(body)
+        out.bodies.append(body)
         moving = group.joint is not None
         if group.joint is not None:
             add_joint(out, body, group.joint, gains, creep)
@@ -435,6 +437,6 @@ def build_spec(
                 name=link.name, pos=pose[:3, 3], quat=quat_of(pose), size=(0.004, 0.0, 0.0), group=4
             )
         add_capsules(model, body, group)
-    add_mimics(out, cut)
+    add_mimics(out, groups)
     add_servos(out, gains)
     return out

@@ -1,4 +1,4 @@
-"""Import of MuJoCo; if MuJoCo is not installed, the error names the extra to install."""
+"""MuJoCo's Python package; if it is missing, this import raises an error that names the extra."""
 
 from __future__ import annotations
 

@@ -27,10 +27,10 @@ if TYPE_CHECKING:
 
 #: Assumed position error at which a servo without data exerts its effort limit [rad].
 FULL_EFFORT_ERROR = 0.07
-#: Assumed friction of a servo without data, per effort limit: dry [1] and viscous [s/rad].
+#: Assumed friction of a servo without data, divided by its effort limit: dry [1], viscous [s/rad].
 FRICTION_SHARE, DAMPING_SHARE = 0.02, 0.10
-#: Assumed rotor inertia of a servo without data per stiffness [s²]; the natural frequency of rotor
-#: and position loop is then 100 rad/s.
+#: Assumed rotor inertia of a servo without data, divided by its stiffness [s²]; the natural
+#: frequency of rotor and position loop is then 100 rad/s.
 ARMATURE_SHARE = 1e-4
 
 
@@ -86,7 +86,7 @@ def tabulate(model: Model, servos: Any | None) -> Servos:
         TypeError: `servos` is not a `Servos` table.
     """
     table = model.servos if servos is None else instance(servos, Servos, "servos")
-    return _guess(model) if table is None else spread(table, model.n)
+    return _guess_of(model) if table is None else spread(table, model.n)
 
 
 def resolve(table: Servos) -> Gains:
@@ -117,8 +117,12 @@ def resolve(table: Servos) -> Gains:
     )
 
 
-def _guess(model: Model) -> Servos:
-    """Return a servo table estimated from the effort limits of the URDF."""
+def _guess_of(model: Model) -> Servos:
+    """Return a servo table estimated from the effort limits in the URDF of a model.
+
+    Raises:
+        ConfigError: A joint has no effort limit.
+    """
     effort = [np.nan if e is None else float(e) for e in model.effort_limit]
     unknown = [name for name, e in zip(model.joint_names, effort, strict=True) if not e > 0.0]
     if unknown:

@@ -26,7 +26,7 @@ class Overload:
 
     Attributes:
         threshold: Share of the usable torque that counts as overload, in (0, 1].
-        seconds: Longest duration of an overload after which the protection does not trip [s].
+        seconds: Duration of an overload above which the protection trips [s].
         remains: Share of the usable torque after a trip: 0 for Dynamixel, 0.2 for the STS3215.
     """
 
@@ -130,14 +130,14 @@ class ServoBank:
         self.torque, self._sum, self._steps = np.zeros(n), np.zeros(n), 0
 
     def _place_followers(self) -> None:
-        """Set each mimic joint to the angle that follows from that of its driving joint."""
+        """Set each mimic joint to the angle that follows from the angle of its driving joint."""
         model, qpos = self._model, self._data.qpos
-        for tie in range(model.neq):
-            if model.eq_type[tie] != mujoco.mjtEq.mjEQ_JOINT:
+        for i in range(model.neq):
+            if model.eq_type[i] != mujoco.mjtEq.mjEQ_JOINT:
                 continue
-            follower, driver = int(model.eq_obj1id[tie]), int(model.eq_obj2id[tie])
+            follower, driver = int(model.eq_obj1id[i]), int(model.eq_obj2id[i])
             angle = float(qpos[model.jnt_qposadr[driver]]) if driver >= 0 else 0.0
-            offset, slope = model.eq_data[tie, :2]
+            offset, slope = model.eq_data[i, :2]
             qpos[model.jnt_qposadr[follower]] = offset + slope * angle
 
     @property

@@ -84,14 +84,13 @@ class Door(GraspedObject):
     def __post_init__(self) -> None:
         """Raise `ConfigError` unless all attributes have valid values."""
         super().__post_init__()
-        arm, axis = (
-            np.asarray(self.hinge, dtype=np.float64),
-            np.asarray(self.axis, dtype=np.float64),
-        )
-        if arm.shape != (3,) or axis.shape != (3,) or abs(float(np.linalg.norm(axis)) - 1.0) > 1e-9:
+        hinge = np.asarray(self.hinge, dtype=np.float64)
+        axis = np.asarray(self.axis, dtype=np.float64)
+        is_unit = axis.shape == (3,) and abs(float(np.linalg.norm(axis)) - 1.0) <= 1e-9
+        if hinge.shape != (3,) or not is_unit:
             raise ConfigError("Door.hinge has three entries and Door.axis is a unit vector (3,)")
         #: Distance of the handle from the hinge axis [m].
-        self.radius = float(np.linalg.norm(arm - (arm @ axis) * axis))
+        self.radius = float(np.linalg.norm(hinge - (hinge @ axis) * axis))
         if self.radius < 1e-3:
             raise ConfigError(f"Door.hinge {self.hinge!r} puts the handle on the hinge axis")
         low = min(self.mass, self.friction, self.damping, self.seal, self.stop)
@@ -125,9 +124,9 @@ class Door(GraspedObject):
         across = -(arm - (arm @ axis) * axis)
         normal = np.cross(across, axis)
         size = np.array((self.radius, 0.60, 0.03))
-        turn = np.stack([across / self.radius, axis, normal / self.radius], axis=1)
+        rotation = np.stack([across / self.radius, axis, normal / self.radius], axis=1)
         quat = np.zeros(4)
-        mujoco.mju_mat2Quat(quat, turn.reshape(9))
+        mujoco.mju_mat2Quat(quat, rotation.reshape(9))
         leaf.explicitinertial = True
         leaf.mass = self.mass
         leaf.ipos = across / 2
@@ -153,10 +152,8 @@ class Door(GraspedObject):
     def before(self, plant: Plant) -> None:
         """Move the hinge as `drive` prescribes for the present time."""
         if self.drive is not None:
-            gone = self.drive.at(plant.mj_data.time)
-            plant.mj_data.mocap_pos[self._frame] = self._home + gone * np.asarray(
-                self.drive.direction
-            )
+            displacement = self.drive.at(plant.mj_data.time) * np.asarray(self.drive.direction)
+            plant.mj_data.mocap_pos[self._frame] = self._home + displacement
 
     def during(self, plant: Plant) -> None:
         """Apply the force of the magnetic seal to the door in a physics step."""

@@ -35,7 +35,7 @@ class Drawer(GraspedObject):
         stop: Length of the slide between its hard stops [m].
         opening, widest: Present opening, and largest opening since reset [m].
         across: Largest force of the arm on the handle across the slide [N], recorded from 0.5 s
-            after reset on.
+            after reset.
     """
 
     axis: Sequence[float] = (-1.0, 0.0, 0.0)
@@ -81,16 +81,16 @@ class Drawer(GraspedObject):
         up = np.array((0.0, 0.0, 1.0)) if abs(axis[2]) < 0.9 else np.array((0.0, 1.0, 0.0))
         across = np.cross(up, axis) / np.linalg.norm(np.cross(up, axis))
         quat = np.zeros(4)
-        turn = np.stack([axis, across, np.cross(axis, across)], axis=1)
-        mujoco.mju_mat2Quat(quat, turn.reshape(9))
-        for thick, place, rgba in (
+        rotation = np.stack([axis, across, np.cross(axis, across)], axis=1)
+        mujoco.mju_mat2Quat(quat, rotation.reshape(9))
+        for size, position, rgba in (
             (SIZE, -axis * (0.03 + SIZE[0] / 2), (0.55, 0.42, 0.30, 0.55)),
             (np.array((0.015, 0.34, 0.16)), -axis * 0.03, (0.45, 0.33, 0.22, 0.9)),
         ):
             geom = box.add_geom(
-                type=mujoco.mjtGeom.mjGEOM_BOX, size=thick / 2, contype=0, conaffinity=0
+                type=mujoco.mjtGeom.mjGEOM_BOX, size=size / 2, contype=0, conaffinity=0
             )
-            geom.pos, geom.quat, geom.rgba = place, quat, rgba
+            geom.pos, geom.quat, geom.rgba = position, quat, rgba
         self.add_grip(build_spec, box, (0.0, 0.0, 0.0))
 
     def place(self, plant: Plant) -> None:

@@ -116,8 +116,8 @@ class SimDrive:
         unknown = np.full(len(self.names), np.nan)
         if not self.counters["writes"]:
             return unknown, unknown
-        sent, off = self.plant.sent, np.full(len(self._extra), np.nan)
-        return np.concatenate((sent.goal, off)), np.concatenate((sent.limit, off))
+        sent, off_chain = self.plant.sent, np.full(len(self._extra), np.nan)
+        return np.concatenate((sent.goal, off_chain)), np.concatenate((sent.limit, off_chain))
 
     def open(self) -> None:
         """Do nothing: there is no connection to open."""

@@ -133,9 +133,9 @@ class Friction:
 
     @staticmethod
     def of(joints: Sequence[Friction]) -> Friction:
-        """Return the friction of an arm: arrays with the values of single joints, base to tip."""
+        """Return the friction of an arm from that of each joint, base to tip."""
         names = [field.name for field in fields(Friction)]
-        columns = {name: np.array([getattr(one, name) for one in joints]) for name in names}
+        columns = {name: np.array([getattr(joint, name) for joint in joints]) for name in names}
         return Friction(**columns)
 
 
@@ -209,12 +209,12 @@ class Gears:
         The load torques do not contain dry friction and damping of the joints.
         """
         data, dof = self._data, self._dof
-        rubbing = np.zeros(self._model.nv)
-        dry = data.efc_type == mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF
-        rubbing[data.efc_id[dry]] = data.efc_force[dry]
+        friction = np.zeros(self._model.nv)
+        is_friction = data.efc_type == mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF
+        friction[data.efc_id[is_friction]] = data.efc_force[is_friction]
         motor: Array = data.actuator_force[self._servo]
-        outer = data.qfrc_applied + data.qfrc_actuator + data.qfrc_constraint - rubbing
-        external: Array = (outer - data.qfrc_bias)[dof] - motor
+        total = data.qfrc_applied + data.qfrc_actuator + data.qfrc_constraint - friction
+        external: Array = (total - data.qfrc_bias)[dof] - motor
         return motor, external
 
     def update(self) -> Array:

@@ -28,8 +28,8 @@ GRIP_TIME = 0.01
 #: Impedances d_0 and d_width of the grip constraint (first entries of MuJoCo's `solimp`) [1]; they
 #: make it stiffer than the default.
 GRIP_IMPEDANCE = (0.95, 0.99)
-#: Time after reset from which on peak forces are recorded [s]; before, the servos take up the
-#: weight of the arm.
+#: Peak forces are recorded once this time has passed since reset [s]; until then, the servos take
+#: up the weight of the arm.
 SETTLE = 0.5
 
 
@@ -64,8 +64,8 @@ class GraspedObject(Fixture):
         `at` (3,) [m] is the position of the handle in the frame of the body.
         """
         spec = build_spec.spec
-        place = np.asarray(at, dtype=np.float64)
-        body.add_site(name=f"{self.name}:handle", pos=place, size=(0.01, 0.0, 0.0))
+        position = np.asarray(at, dtype=np.float64)
+        body.add_site(name=f"{self.name}:handle", pos=position, size=(0.01, 0.0, 0.0))
         grip = spec.add_equality(
             name=f"{self.name}:grip", name1=build_spec.model.tip, name2=f"{self.name}:handle"
         )
@@ -98,12 +98,11 @@ class GraspedObject(Fixture):
         self._row = None
 
     def _first_row(self, data: mujoco.MjData) -> int:
-        """Return the first row of the grip among the constraint forces."""
+        """Return the index of the grip's first entry in MuJoCo's constraint forces."""
         if self._row is None:
-            mine = (data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY) & (
-                data.efc_id == self._grip
-            )
-            self._row = int(np.flatnonzero(mine)[0])
+            is_equality = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
+            is_grip = is_equality & (data.efc_id == self._grip)
+            self._row = int(np.flatnonzero(is_grip)[0])
         return self._row
 
     def after(self, plant: Plant) -> None:
@@ -120,14 +119,14 @@ class GraspedObject(Fixture):
         rows = data.efc_force[first : first + self._rows]
         self.pull = rows[:3].copy()
         self.force = float(np.sqrt(rows[:3] @ rows[:3]))
-        counts = data.time > SETTLE
-        if counts:
+        is_settled = data.time > SETTLE
+        if is_settled:
             self.peak_force = max(self.peak_force, self.force)
         if self._rows > 3:
             # Halve the constraint force: it is twice the torque, because the error of a MuJoCo weld
             # is half the rotation vector.
             self.torque = 0.5 * float(np.sqrt(rows[3:] @ rows[3:]))
-            if counts:
+            if is_settled:
                 self.peak_torque = max(self.peak_torque, self.torque)
 
 
@@ -140,10 +139,10 @@ RELEASE_DISTANCE = 0.05
 class HandoverObject(GraspedObject):
     """Ball in the arm's grip that a person takes: a spring between the ball and a moving hand.
 
-    The person's force on the ball is ``stiffness (goal - place) - damping v``, with the position
-    `goal` of the hand, and position `place` and velocity v of the ball. Its norm is limited to
-    `limit`, and it is zero before `course.start`. After the grip has opened, the hand also carries
-    the weight of the ball.
+    The person's force on the ball is ``stiffness (goal - position) - damping v``, with the position
+    `goal` of the hand, and position and velocity v of the ball. Its norm is limited to `limit`, and
+    it is zero before `course.start`. After the grip has opened, the hand also carries the weight of
+    the ball.
 
     Attributes:
         mass: Mass of the ball [kg].
@@ -221,16 +220,16 @@ class HandoverObject(GraspedObject):
         data = plant.mj_data
         if not self.course.active(data.time):
             return
-        place, speed = data.xpos[self._body], data.qvel[self._dof : self._dof + 3]
+        position, velocity = data.xpos[self._body], data.qvel[self._dof : self._dof + 3]
         goal = self._home + self.course.share(data.time) * np.asarray(self.displacement)
-        force = self.stiffness * (goal - place) - self.damping * speed
-        size = float(np.sqrt(force @ force))
-        if size > self.limit:
-            force, size = force * (self.limit / size), self.limit
-        self.effort = size
-        self.peak_effort = max(self.peak_effort, size)
+        force = self.stiffness * (goal - position) - self.damping * velocity
+        norm = float(np.sqrt(force @ force))
+        if norm > self.limit:
+            force, norm = force * (self.limit / norm), self.limit
+        self.effort = norm
+        self.peak_effort = max(self.peak_effort, norm)
         lift = self._weight if self.released is not None else np.zeros(3)
-        plant.pull(self._body, force + lift, np.zeros(3), place.copy())
+        plant.pull(self._body, force + lift, np.zeros(3), position.copy())
 
     def place_of(self, plant: Plant) -> np.ndarray:
         """Return the position of the ball (3,) in the base frame [m]."""

@@ -62,7 +62,7 @@ class Frame:
     def twist(self) -> Array:
         """Return the velocity (6,) of the frame in base axes.
 
-        Three entries are the linear velocity of the origin [m/s], three the angular one [rad/s].
+        The linear velocity of the origin [m/s] comes first, then the angular velocity [rad/s].
         """
         mujoco.mj_objectVelocity(
             self._model, self._data, mujoco.mjtObj.mjOBJ_SITE, self.site, self._twist, 0
@@ -85,18 +85,18 @@ class GroundTruth:
         Raises:
             FrameNotFoundError: There is no such frame; the message lists the known frames.
         """
-        found = self._frames.get(name)
-        if found is not None:
-            return found
+        frame = self._frames.get(name)
+        if frame is not None:
+            return frame
         names = [self.model.site(i).name for i in range(self.model.nsite)]
         link = name if name in names else self._aliases.get(name, name)
         if link not in names:
-            there = dict.fromkeys([*self._aliases, *names])
+            known = dict.fromkeys([*self._aliases, *names])
             raise FrameNotFoundError(
-                f"no frame {name!r} in the simulation; there are {', '.join(there)}"
+                f"no frame {name!r} in the simulation; there are {', '.join(known)}"
             )
-        found = self._frames[name] = Frame(self.model, self.data, self.model.site(link).id)
-        return found
+        frame = self._frames[name] = Frame(self.model, self.data, self.model.site(link).id)
+        return frame
 
     def remember(self) -> None:
         """Store the present pose of each frame as its start pose."""

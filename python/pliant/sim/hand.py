@@ -78,8 +78,8 @@ class AppliedForce:
 class ForceProfile:
     """Time course of a hand: a ramp from 0 to 1, then constant until the hand lets go.
 
-    Times are on the clock of the plant, like `Tick.began`. They are not `Tick.time`, which is 0
-    when a `Loop` starts: before, an arm from `connect` needs half a second to raise its torques.
+    Times are on the clock of the plant, like `Tick.began`. `Tick.time` differs: it is 0 when the
+    `Loop` starts, half a second after an arm from `connect` began to raise its torques.
 
     Attributes:
         start: Start time [s].
@@ -146,10 +146,10 @@ class Drag:
         if not self.course.active(t):
             return _ZERO, _ZERO, frame.position
         axis = _direction(self.axis, _AXES)
-        place = self.distance * self.course.share(t) + self.offset
-        spring = self.stiffness * (place - float(axis @ frame.shift()))
-        size = spring - self.damping * float(axis @ frame.twist()[:3])
-        return min(max(size, -self.limit), self.limit) * axis, _ZERO, frame.position
+        goal = self.distance * self.course.share(t) + self.offset
+        spring = self.stiffness * (goal - float(axis @ frame.shift()))
+        force = spring - self.damping * float(axis @ frame.twist()[:3])
+        return min(max(force, -self.limit), self.limit) * axis, _ZERO, frame.position
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -190,8 +190,8 @@ class Twist:
             return _ZERO, _ZERO, frame.position
         axis = _direction(self.axis, _TURNS)
         spring = self.stiffness * (self.angle * self.course.share(t) - float(axis @ frame.turn()))
-        size = spring - self.damping * float(axis @ frame.twist()[3:])
-        return _ZERO, min(max(size, -self.limit), self.limit) * axis, frame.position
+        torque = spring - self.damping * float(axis @ frame.twist()[3:])
+        return _ZERO, min(max(torque, -self.limit), self.limit) * axis, frame.position
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -266,12 +266,12 @@ class SpringConstraint:
         if not self.course.active(t):
             return _ZERO, _ZERO, frame.position
         names = self.axes.split()
-        pull = np.array([name in names for name in _AXES], dtype=np.float64)
-        turn = np.array([name in names for name in _TURNS], dtype=np.float64)
+        linear = np.array([name in names for name in _AXES], dtype=np.float64)
+        angular = np.array([name in names for name in _TURNS], dtype=np.float64)
         twist = frame.twist()
         force = -self.stiffness * frame.shift() - self.damping[0] * twist[:3]
         torque = -self.rotational * frame.turn() - self.damping[1] * twist[3:]
-        return pull * force, turn * torque, frame.position
+        return linear * force, angular * torque, frame.position
 
 
 def tap(force: Sequence[float], *, start: float = 1.0) -> Push:

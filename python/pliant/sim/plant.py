@@ -38,8 +38,8 @@ if TYPE_CHECKING:
 class Fixture(Protocol):
     """Interface of scene objects with bodies in the physics model, such as a door.
 
-    Hands and walls are no fixtures: they have no bodies and only exert forces. A subclass overrides
-    the methods that it needs.
+    Hands and walls are not fixtures: they have no bodies and only exert forces. A subclass
+    overrides the methods that it needs.
     """
 
     def add(self, build_spec: Build) -> None:
@@ -408,8 +408,9 @@ class Plant:
 
         The attribute `torque` is then the torque in the last physics step, not the mean.
         """
-        scene = bool(self._fixtures) and all(getattr(f, "passive", False) for f in self._fixtures)
-        return scene and not (self.hands or self._bank.needs_drive or self._gears)
+        fixtures = self._fixtures
+        has_passive_scene = bool(fixtures) and all(getattr(f, "passive", False) for f in fixtures)
+        return has_passive_scene and not (self.hands or self._bank.needs_drive or self._gears)
 
     def _step(self) -> None:
         """Run one physics step, including hands, fixtures, friction model and dead bands."""

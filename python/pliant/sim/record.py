@@ -56,13 +56,13 @@ class Recorder:
             row[f"force{k}"], row[f"torque{k}"] = record.force, record.torque
         row.update(signals)
         if self._count and row.keys() != self._rows.keys():
-            odd = ", ".join(sorted(row.keys() ^ self._rows.keys()))
-            raise ShapeError(f"every row of a record has the same signals; these differ: {odd}")
+            names = ", ".join(sorted(row.keys() ^ self._rows.keys()))
+            raise ShapeError(f"every row of a record has the same signals; these differ: {names}")
         arrays = {name: np.array(value, dtype=np.float64) for name, value in row.items()}
         for name, array in arrays.items():
             if self._count and array.shape != self._rows[name][0].shape:
-                was = self._rows[name][0].shape
-                raise ShapeError(f"signal {name!r} changed its shape from {was} to {array.shape}")
+                old = self._rows[name][0].shape
+                raise ShapeError(f"signal {name!r} changed its shape from {old} to {array.shape}")
         for name, array in arrays.items():
             self._rows.setdefault(name, []).append(array)
         self._count += 1

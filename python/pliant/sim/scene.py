@@ -51,10 +51,10 @@ class Wall:
         depth = float(into @ frame.shift()) - self.distance
         if depth <= 0.0:
             return _ZERO, _ZERO, frame.position
-        size = self.stiffness * depth
+        force = self.stiffness * depth
         if self.damping:
-            size = max(size + self.damping * float(into @ frame.twist()[:3]), 0.0)
-        return -size * into, _ZERO, frame.position
+            force = max(force + self.damping * float(into @ frame.twist()[:3]), 0.0)
+        return -force * into, _ZERO, frame.position
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,8 +86,8 @@ class Table:
         depth = self.height - float(frame.position[2])
         if depth <= 0.0:
             return _ZERO, _ZERO, frame.position
-        size = self.stiffness * depth - self.damping * float(frame.twist()[2])
-        return np.array((0.0, 0.0, max(size, 0.0))), _ZERO, frame.position
+        force = self.stiffness * depth - self.damping * float(frame.twist()[2])
+        return np.array((0.0, 0.0, max(force, 0.0))), _ZERO, frame.position
 
 
 def table(height: float) -> list[Hand]:

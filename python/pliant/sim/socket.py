@@ -92,14 +92,14 @@ class Socket(Fixture):
         floor.pos = (0.0, 0.0, -self.depth - 0.005)
         self._finish(floor, (0.35, 0.36, 0.40, 1.0))
         tip = next(site for site in spec.sites if site.name == build_spec.model.tip)
-        up, turned = np.zeros(3), np.asarray(tip.quat, dtype=np.float64)
-        mujoco.mju_rotVecQuat(up, np.array((0.0, 0.0, LENGTH / 2)), turned)
+        centre, tip_quat = np.zeros(3), np.asarray(tip.quat, dtype=np.float64)
+        mujoco.mju_rotVecQuat(centre, np.array((0.0, 0.0, LENGTH / 2)), tip_quat)
         plug = tip.parent.add_geom(
             name=f"{self.name}:plug",
             type=mujoco.mjtGeom.mjGEOM_CAPSULE,
             size=(radius, LENGTH / 2 - radius, 0.0),
-            pos=tip.pos + up,
-            quat=turned,
+            pos=tip.pos + centre,
+            quat=tip_quat,
             mass=0.0,
         )
         self._finish(plug, (0.85, 0.35, 0.2, 1.0))
@@ -113,12 +113,14 @@ class Socket(Fixture):
             half: Half the width of the hole [m].
         """
         quat = np.zeros(4)
-        place, reach = np.zeros(3), half + WALL
+        position, reach = np.zeros(3), half + WALL
         # Height of the block: it ends below the chamfer, where the board starts.
         low = self.depth - self.chamfer
         block = frame.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=(WALL / 2, reach, low / 2))
-        mujoco.mju_rotVecQuat(place, np.array((half + WALL / 2, 0.0, -self.depth + low / 2)), turn)
-        block.pos, block.quat = place, turn
+        mujoco.mju_rotVecQuat(
+            position, np.array((half + WALL / 2, 0.0, -self.depth + low / 2)), turn
+        )
+        block.pos, block.quat = position, turn
         self._finish(block, (0.55, 0.57, 0.62, 1.0))
         if self.chamfer > 0.0:
             thick, long = 0.004, self.chamfer / np.sqrt(2.0)
@@ -131,8 +133,8 @@ class Socket(Fixture):
             board = frame.add_geom(
                 type=mujoco.mjtGeom.mjGEOM_BOX, size=(long, half + self.chamfer, thick)
             )
-            mujoco.mju_rotVecQuat(place, middle, turn)
-            board.pos, board.quat = place, quat
+            mujoco.mju_rotVecQuat(position, middle, turn)
+            board.pos, board.quat = position, quat
             self._finish(board, (0.70, 0.72, 0.76, 1.0))
 
     def _finish(self, geom: mujoco.MjsGeom, rgba: Sequence[float]) -> None:

@@ -72,18 +72,18 @@ class Surface:
         twist = frame.twist()
         total, torque = np.zeros(3), np.zeros(3)
         for corner in ((1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)):
-            arm = frame.rotation @ np.array((*corner, 0.0)) * self.pad
-            place = frame.position + arm - frame.start
-            depth = self.height(place[0], place[1]) - self.below - place[2]
+            lever = frame.rotation @ np.array((*corner, 0.0)) * self.pad
+            point = frame.position + lever - frame.start
+            depth = self.height(point[0], point[1]) - self.below - point[2]
             if depth <= 0.0:
                 continue
-            speed = twist[:3] + np.cross(twist[3:], arm)
+            speed = twist[:3] + np.cross(twist[3:], lever)
             normal = max((self.stiffness * depth - self.damping * speed[2]) / 4.0, 0.0)
             force = np.array((0.0, 0.0, normal))
             sliding = float(np.hypot(speed[0], speed[1]))
             if sliding > 0.0:
-                hold = self.friction * normal * np.tanh(sliding / FRICTION_SPEED)
-                force[:2] = -hold * speed[:2] / sliding
+                friction = self.friction * normal * np.tanh(sliding / FRICTION_SPEED)
+                force[:2] = -friction * speed[:2] / sliding
             total += force
-            torque += np.cross(arm, force)
+            torque += np.cross(lever, force)
         return total, torque, frame.position

@@ -118,17 +118,17 @@ class Tabletop(Fixture):
         return lowest
 
 
-def can_rise(model: Model, rigid_groups: list[Group], index: int) -> bool:
-    """Return True if a joint between the base and the group can raise or lower the group."""
+def can_rise(model: Model, groups: list[Group], index: int) -> bool:
+    """Return True if a joint between the base and the group `index` can raise or lower it."""
     chain: list[int] = []
-    at: int | None = index
-    while at is not None and rigid_groups[at].joint is not None:
-        chain.append(at)
-        at = rigid_groups[at].parent
-    pose: Array = rigid_groups[0].pose.copy()
+    current: int | None = index
+    while current is not None and groups[current].joint is not None:
+        chain.append(current)
+        current = groups[current].parent
+    pose: Array = groups[0].pose.copy()
     for number in reversed(chain):
-        pose = pose @ rigid_groups[number].pose
-        index_of_joint = rigid_groups[number].joint
+        pose = pose @ groups[number].pose
+        index_of_joint = groups[number].joint
         assert index_of_joint is not None
         joint = model.joints[index_of_joint]
         axis = pose[:3, :3] @ joint.axis

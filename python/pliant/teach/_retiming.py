@@ -14,7 +14,7 @@ from pliant.teach.motion import RATE
 if TYPE_CHECKING:
     from pliant.teach.motion import Motion
 
-#: Longest time by which a retimed motion may last beyond the original [s].
+#: Largest increase of the duration by retiming [s].
 MAX_EXTRA_TIME = 60.0
 #: A motion that is too fast is slowed down to this share of its bounds [1]; ruckig needs the rest
 #: as a margin to follow it.
@@ -71,10 +71,10 @@ def retime(motion: Motion, bounds: tuple[float, float, float], rate: float = RAT
         count += 1
         time = count * step
         ended = time >= motion.duration
-        before, position, after = (motion.at(time + shift) for shift in (-step, 0.0, step))
+        previous, position, following = (motion.at(time + shift) for shift in (-step, 0.0, step))
         slope, curvature = (
-            (after - before) * (0.5 * rate),
-            (after - 2.0 * position + before) * rate**2,
+            (following - previous) * (0.5 * rate),
+            (following - 2.0 * position + previous) * rate**2,
         )
         inputs.target_position = position.tolist()
         slope, curvature = (
@@ -107,7 +107,7 @@ def _slowed(motion: Motion, speed: float, acceleration: float, step: float) -> M
     """
     times = np.arange(0.0, motion.duration + step, step)
     q = np.array([motion.at(time) for time in times.tolist()])
-    first = float(np.abs(np.diff(q, axis=0)).max()) / step
-    second = float(np.abs(np.diff(q, 2, axis=0)).max(initial=0.0)) / step**2
-    factor = max(1.0, first / (BOUND_SHARE * speed), np.sqrt(second / (BOUND_SHARE * acceleration)))
+    speed_ratio = float(np.abs(np.diff(q, axis=0)).max()) / step / (BOUND_SHARE * speed)
+    peak_acceleration = float(np.abs(np.diff(q, 2, axis=0)).max(initial=0.0)) / step**2
+    factor = max(1.0, speed_ratio, np.sqrt(peak_acceleration / (BOUND_SHARE * acceleration)))
     return replace(motion, time=motion.time * factor)

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 #: Displacement of the hand in y and z, as shares of the arm's reach [1].
 SIDE_SHARE, UP_SHARE = 0.17, 0.06
-#: Start of the pull, duration in which it rises, and time of the release [s].
+#: Times after the call: start of the pull, duration of its rise, and release [s].
 START_DELAY, RAMP_TIME, RELEASE_TIME = 0.5, 3.0, 4.5
 #: Stiffness [N/m] and force limit [N] of the spring between hand and tool.
 STIFFNESS, FORCE_LIMIT = 800.0, 30.0
@@ -36,13 +36,13 @@ def prepare(arm: Arm) -> Callable[[], None]:
     if plant is None and emulator is None:
         raise ConfigError("a scripted hand leads only arms with --backend sim or emulator")
 
-    def lead() -> None:
+    def start() -> None:
         if plant is not None:
             plant.set_hands(_hands(plant.time, reach))
         elif emulator is not None:
             emulator.call("plant.set_hands", _hands(emulator.call("plant.time"), reach))
 
-    return lead
+    return start
 
 
 def lead(arm: Arm) -> None:

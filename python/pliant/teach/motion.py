@@ -22,17 +22,20 @@ if TYPE_CHECKING:
 
 #: Value of the field `format` in a motion file.
 FORMAT = "pliant motion 1"
-#: Sample rate of smoothed motions [Hz], and decimal digits of a position [rad] in a file.
-RATE, DIGITS = 50.0, 5
-#: A joint rests within `REST_TOLERANCE` of the first or last position of a motion [rad].
-#: `Motion.trimmed` keeps `REST_TIME` of this rest at both ends [s].
-REST_TOLERANCE, REST_TIME = 0.02, 0.2
+#: Sample rate of smoothed motions [Hz].
+RATE = 50.0
+#: Decimal digits of a position [rad] in a motion file.
+DIGITS = 5
+#: Largest distance from the first or last position of a motion at which a joint is at rest [rad].
+REST_TOLERANCE = 0.02
+#: Duration of rest that `Motion.trimmed` keeps at both ends [s].
+REST_TIME = 0.2
 #: Largest accepted distance between the start of the tool and the recorded start [m]; a larger one
 #: means that the motion was recorded on another arm.
 START_TOLERANCE = 0.03
 #: Minimum number of samples of a motion, and maximum number after smoothing.
 MIN_SAMPLES, MAX_SAMPLES = 2, 10_000_000
-#: Minimum time between two samples, and maximum duration of a motion [s].
+#: Minimum time between two samples [s]; maximum duration of a motion [s].
 MIN_SAMPLE_TIME, MAX_DURATION = 1e-6, 1e5
 
 
@@ -41,7 +44,7 @@ class Motion:
     """A recorded motion: N samples of the positions of n joints, with smooth interpolation.
 
     Attributes:
-        joints: Names of the joints (n), in the order of the columns of `q`.
+        joints: Names of the n joints, in the order of the columns of `q`.
         time: Times (N,) [s], rising from 0.
         q: Joint positions (N, n) [rad].
         extra: Positions (N,) [rad] of joints outside the chain, such as a gripper, by name.
@@ -75,17 +78,17 @@ class Motion:
         columns = {"time": time, **dict(zip(self.joints, q.T, strict=True)), **extra}
         for name, column in columns.items():
             if not np.isfinite(column).all():
-                at = int(np.flatnonzero(~np.isfinite(column))[0])
+                i = int(np.flatnonzero(~np.isfinite(column))[0])
                 raise ConfigError(
-                    f"{name} of sample {at + 1} of {time.size} is {column[at]}, not a finite number"
+                    f"{name} of sample {i + 1} of {time.size} is {column[i]}, not a finite number"
                 )
         with np.errstate(over="ignore"):
             steps, duration = np.diff(time), float(time[-1] - time[0])
         if not (steps > 0.0).all():
-            at = int(np.flatnonzero(steps <= 0.0)[0])
+            i = int(np.flatnonzero(steps <= 0.0)[0])
             raise ConfigError(
-                f"the times of a motion must rise: sample {at + 2} is at {time[at + 1]:g} s, the "
-                f"one before it at {time[at]:g} s"
+                f"the times of a motion must rise: sample {i + 2} is at {time[i + 1]:g} s, the "
+                f"one before it at {time[i]:g} s"
             )
         if steps.min() < MIN_SAMPLE_TIME or duration > MAX_DURATION:
             raise ConfigError(
@@ -121,8 +124,8 @@ class Motion:
         low, high = self.q[k], self.q[k + 1]
         m, p = step * self._slope(k), step * self._slope(k + 1)
         a, b = 2.0 * (low - high) + m + p, 3.0 * (high - low) - 2.0 * m - p
-        between: Array = low + u * (m + u * (b + u * a))
-        return between
+        q: Array = low + u * (m + u * (b + u * a))
+        return q
 
     def extra_at(self, time: float) -> dict[str, float]:
         """Return the positions [rad] of the joints outside the chain at a time [s], by name."""
@@ -132,8 +135,8 @@ class Motion:
         """Return the velocities (n,) [rad/s] at sample k; 0 at the ends."""
         if k in {0, len(self.time) - 1}:
             return np.zeros(len(self.joints))
-        rise: Array = (self.q[k + 1] - self.q[k - 1]) / (self.time[k + 1] - self.time[k - 1])
-        return rise
+        slope: Array = (self.q[k + 1] - self.q[k - 1]) / (self.time[k + 1] - self.time[k - 1])
+        return slope
 
     def validate_for(self, model: Model) -> None:
         """Check that an arm can execute the motion.
@@ -186,8 +189,8 @@ class Motion:
                 f"nothing moved by more than {REST_TOLERANCE:g} rad: there is no motion"
             )
         first, last = self.time[moved[0]] - REST_TIME, self.time[not_arrived[-1]] + REST_TIME
-        chosen = (self.time >= first) & (self.time <= last)
-        return self._select(chosen)
+        mask = (self.time >= first) & (self.time <= last)
+        return self._select(mask)
 
     def smoothed(self, width: float = 0.1, rate: float = RATE) -> Motion:
         """Return a copy at a constant sample rate, smoothed by a Gaussian filter without time lag.
@@ -224,9 +227,9 @@ class Motion:
         extra = {name: smooth(row) for name, row in self.extra.items()}
         return replace(self, time=time, q=q, extra=extra)
 
-    def _select(self, chosen: Mask) -> Motion:
-        extra = {name: row[chosen] for name, row in self.extra.items()}
-        return replace(self, time=self.time[chosen], q=self.q[chosen], extra=extra, start=None)
+    def _select(self, mask: Mask) -> Motion:
+        extra = {name: row[mask] for name, row in self.extra.items()}
+        return replace(self, time=self.time[mask], q=self.q[mask], extra=extra, start=None)
 
     def save(self, path: str | Path) -> None:
         """Write a JSON file with one sample per line.
@@ -240,7 +243,7 @@ class Motion:
         path = Path(path)
         check_output(path, "motion")
         rows = np.column_stack((self.time, self.q, *self.extra.values()))
-        head = {
+        header = {
             "format": FORMAT,
             "joints": list(self.joints),
             "extra": list(self.extra),
@@ -252,7 +255,7 @@ class Motion:
         samples = ",\n  ".join(
             json.dumps([time, *(round(x, DIGITS) for x in row)]) for time, *row in rows.tolist()
         )
-        text = json.dumps(head, indent=1, ensure_ascii=False)[:-2]
+        text = json.dumps(header, indent=1, ensure_ascii=False)[:-2]
         with replacing(path) as new_file:
             new_file.write_text(f'{text},\n "samples": [\n  {samples}\n ]\n}}\n', encoding="utf-8")
 
@@ -266,8 +269,8 @@ class Motion:
         if log.damage:
             raise ConfigError(f"the log is damaged and is not played: {log.damage}")
         extra = dict(zip(log.run["extra"], log.extra.T, strict=True))
-        made = cls(tuple(log.run["joints"]), log.time, log.q, extra, log.run["note"])
-        return made.for_model(log.model())
+        motion = cls(tuple(log.run["joints"]), log.time, log.q, extra, log.run["note"])
+        return motion.for_model(log.model())
 
     @classmethod
     def load(cls, path: str | Path) -> Motion:
@@ -300,11 +303,11 @@ class Motion:
         except ConfigError as error:
             raise ConfigError(f"{path}: {error}") from error
         except KeyError as error:
-            raise ConfigError(f"{path} is no motion file: it has no {error}") from error
+            raise ConfigError(f"{path} is not a motion file: it has no {error}") from error
         except RecursionError as error:
-            raise ConfigError(f"{path} is no motion file: it is nested too deeply") from error
+            raise ConfigError(f"{path} is not a motion file: it is nested too deeply") from error
         except (ValueError, TypeError, OverflowError) as error:
-            raise ConfigError(f"{path} is no motion file: {error}") from error
+            raise ConfigError(f"{path} is not a motion file: {error}") from error
 
 
 def _format_point(point: Any) -> str:

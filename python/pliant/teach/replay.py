@@ -22,15 +22,17 @@ if TYPE_CHECKING:
 
 #: Largest joint speed on the way to the start of the motion, and back to it after a stop [rad/s].
 APPROACH_SPEED = 0.4
-#: Time in which the clock of the motion speeds up from standstill to full rate [s].
+#: Duration of the speed-up of the motion's clock from standstill to full rate [s].
 RISE_TIME = 0.5
 #: The clock of the motion slows down if the deviation exceeds this share of its bound [1].
 SLOWING_SHARE = 0.5
 #: The replay counts as blocked below `BLOCKED_PACE`, and as free again above `FREE_PACE`; both are
 #: rates of the motion's clock, of which 1 is the full rate.
 BLOCKED_PACE, FREE_PACE = 0.05, 0.3
-#: Minimum duration of a contact [s], and time after `resume` in which contacts are ignored [s].
-MIN_CONTACT, IGNORE_TIME = 0.05, 1.0
+#: Minimum duration of a contact that stops the replay [s].
+MIN_CONTACT = 0.05
+#: Time after `resume` during which contacts are ignored [s].
+IGNORE_TIME = 1.0
 
 State = Literal["approaching", "playing", "blocked", "stopped", "done"]
 
@@ -133,14 +135,14 @@ class Replay:
             ShapeError, OutOfRangeError: An input is invalid; see `Controller.step`.
         """
         q = np.asarray(q, dtype=np.float64)
-        span = 1.0 / self._controller.settings.rate if dt is None else dt
+        time_step = 1.0 / self._controller.settings.rate if dt is None else dt
         if self._offset is None:
             self._start_transition(q)
-        self._check_contact(q, dt, load, span)
+        self._check_contact(q, dt, load, time_step)
         if self._stopped_q is not None:
             goal = self._stopped_q
         else:
-            self._advance(q, span)
+            self._advance(q, time_step)
             goal = self._target()
         command: Command = self._controller.step_joints(q, goal, dt=dt)
         return command
@@ -160,7 +162,7 @@ class Replay:
             self._start_transition(q)
 
     def _start_transition(self, q: Array) -> None:
-        """Start a smooth transition from positions q (n,) [rad] to those of the motion."""
+        """Start a smooth transition from the positions q (n,) [rad] to the motion."""
         self._offset = q - self.motion.at(self.time)
         # Factor 15/8: peak over mean speed of the fifth-order polynomial of the transition.
         self._transition_time = 1.875 * float(np.abs(self._offset).max()) / APPROACH_SPEED
@@ -191,13 +193,13 @@ class Replay:
             self.time = min(self.time + self.pace * self.speed * dt, self.motion.duration)
 
     def _check_contact(
-        self, q: Array, dt: float | None, load: ArrayLike | None, span: float
+        self, q: Array, dt: float | None, load: ArrayLike | None, time_step: float
     ) -> None:
-        """Update the contact estimate; stop the arm on a contact. `span` is the time step [s]."""
+        """Update the contact estimate; stop the arm on a contact (`time_step` in [s])."""
         if self._contact is None:
             return
         estimate = self._contact.update(q, dt=dt, load=load)
-        self._ignore_time = max(self._ignore_time - span, 0.0)
+        self._ignore_time = max(self._ignore_time - time_step, 0.0)
         if estimate.touch.any() and self._stopped_q is None and self._ignore_time == 0.0:
             self._stopped_q = q.copy()
             self.stops += 1

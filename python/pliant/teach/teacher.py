@@ -21,8 +21,7 @@ if TYPE_CHECKING:
 
 #: Text that `record` passes to `on_status` when the recording begins.
 RECORDING = "recording"
-#: Part of a text that `record` passes to `on_status` if `should_toggle` is given: use of the Enter
-#: key.
+#: Instruction in a text that `record` passes to `on_status` if `should_toggle` is given.
 STARTS_AND_STOPS = "Enter starts and stops"
 #: A gripper counts as pressed shut within this share of its range from the closed end [1].
 PRESSED_SHARE = 0.15
@@ -58,7 +57,7 @@ class Teacher:
 
     @property
     def ready(self) -> bool:
-        """True once the first swing of `HandGuiding` is over, so that the arm may be touched."""
+        """True once the initial oscillation of `HandGuiding` is over: the arm may be touched."""
         return self._guiding.ready
 
     def step(self, state: State, *, dt: float | None = None) -> Command:
@@ -77,7 +76,7 @@ class Teacher:
         """Start a recording; an earlier recording is deleted.
 
         Raises:
-            PliantError: The first swing of the hand guiding is not over.
+            PliantError: The initial oscillation of the hand guiding is not over.
         """
         if not self.ready:
             raise PliantError("the arm still swings to find its weight: wait until it is ready")
@@ -185,7 +184,7 @@ def _record(
     should_toggle: Callable[[Teacher, State], bool] | None,
     on_status: Callable[[str], None],
 ) -> None:
-    """Run the control loop from the first swing to the end of the recording."""
+    """Run the control loop from the initial oscillation to the end of the recording."""
     start_time = 0.0
     for tick in Loop(arm):
         was_ready = teacher.ready

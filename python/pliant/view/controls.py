@@ -134,12 +134,12 @@ class Controls:
             self.force = gui.add_slider("Force [N]", min=0.0, max=1.0, step=0.1, initial_value=0.0)
             self._set_push_range(max_push)
             self.side.on_update(lambda _: self._set_push_range(max_push))
-            held = gui.add_button("Push while held down", icon=viser.Icon.HAND_FINGER)
-            held.on_hold(
+            hold_button = gui.add_button("Push while held down", icon=viser.Icon.HAND_FINGER)
+            hold_button.on_hold(
                 lambda _: self._send(self._push_message(HELD_PUSH_TIME)), callback_hz=REPEAT_RATE
             )
-            timed = gui.add_button(f"Push for {TIMED_PUSH_TIME:g} s", color="gray")
-            timed.on_click(lambda _: self._send(self._push_message(TIMED_PUSH_TIME)))
+            click_button = gui.add_button(f"Push for {TIMED_PUSH_TIME:g} s", color="gray")
+            click_button.on_click(lambda _: self._send(self._push_message(TIMED_PUSH_TIME)))
 
     def _set_push_range(self, max_push: tuple[float, float]) -> None:
         """Set range and unit of the push slider: force along or torque about the chosen axis.
@@ -158,10 +158,10 @@ class Controls:
     def _push_message(self, seconds: float) -> messages.Push:
         side = self.side.value
         wrench = np.zeros(6)
-        place = ("x", "y", "z", "roll", "pitch", "yaw").index(side[1:])
-        wrench[place] = self.force.value if side[0] == "+" else -self.force.value
-        x, y, z, *turn = wrench.tolist()
-        return messages.Push((x, y, z), (turn[0], turn[1], turn[2]), seconds)
+        index = ("x", "y", "z", "roll", "pitch", "yaw").index(side[1:])
+        wrench[index] = self.force.value if side[0] == "+" else -self.force.value
+        x, y, z, *torque = wrench.tolist()
+        return messages.Push((x, y, z), (torque[0], torque[1], torque[2]), seconds)
 
     # Sending of changes by the user, and display of values from the loop.
 
@@ -202,16 +202,16 @@ class Controls:
 
         handle.on_update(changed)
 
-    def show(self, now: Snapshot) -> None:
+    def show(self, snapshot: Snapshot) -> None:
         """Show the positions and the settings of a snapshot.
 
         The settings are shown only if the loop has handled the user's last edit. A control that
         differs from its last known value keeps its value: snapshots and changes by users come in
         different threads, so the message with the user's change may not have been sent yet.
         """
-        self._positions.content = html.positions(now)
-        if now.shown is not None and now.edit >= self._last_edit:
-            self._show_settings(now.shown)
+        self._positions.content = html.positions(snapshot)
+        if snapshot.shown is not None and snapshot.edit >= self._last_edit:
+            self._show_settings(snapshot.shown)
 
     def _show_settings(self, shown: SettingsView) -> None:
         self._set(self.preset, shown.preset)

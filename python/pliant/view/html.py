@@ -45,9 +45,9 @@ YIELD_SIGNS = {"both": (-1.0, 1.0), "+": (1.0,), "-": (-1.0,)}
 MAX_UNCERTAINTY = 1000.0
 
 
-def status(info: SceneInfo, now: Snapshot) -> str:
+def status(info: SceneInfo, snapshot: Snapshot) -> str:
     """Return a line with the name of the arm, its backend and the phase of the run."""
-    words, colour = PHASE_TEXTS[now.phase]
+    words, colour = PHASE_TEXTS[snapshot.phase]
     return _box(
         f'<span style="display:inline-block;width:9px;height:9px;border-radius:50%;'
         f'background:{colour};margin-right:6px"></span>'
@@ -59,14 +59,14 @@ def health(h: LoopTiming) -> str:
     """Return a line with the timing of the control loop: rate, lateness, delay, missed ticks."""
     if not h.ticks:
         return _box("<span>the loop has not run yet</span>")
-    late = _hint("ticks late by", "How long after its time a tick of the loop begins")
+    hint = _hint("ticks late by", "How long after its time a tick of the loop begins")
     slow = ""
     if h.speed < 0.95:
         slow = f' · <b style="color:{ALERT}">slow motion, {h.speed:.0%}: a busy computer</b>'
     faults = [f"{count} {name}" for name, count in _timing_faults(h) if count]
     delay = "" if h.delay is None else f" · delay {1e3 * h.delay:.1f} ms"
     return _box(
-        f"<b>{h.rate:g} Hz</b> · {late} {1e3 * h.p50:.2f} ms (median), {1e3 * h.p99:.2f} ms (99 %)"
+        f"<b>{h.rate:g} Hz</b> · {hint} {1e3 * h.p50:.2f} ms (median), {1e3 * h.p99:.2f} ms (99 %)"
         f"{delay} · {', '.join(faults) if faults else 'no tick missed'}{slow}"
     )
 
@@ -80,10 +80,10 @@ def _timing_faults(h: LoopTiming) -> tuple[tuple[str, int], ...]:
     )
 
 
-def positions(now: Snapshot) -> str:
+def positions(snapshot: Snapshot) -> str:
     """Return two lines: the positions of the tool and of its target [mm]."""
-    target = "" if now.step is None else f"<br>target {_point(now.step.target)}"
-    return _box(f"tool {_point(now.tool)}{target}")
+    target = "" if snapshot.step is None else f"<br>target {_point(snapshot.step.target)}"
+    return _box(f"tool {_point(snapshot.tool)}{target}")
 
 
 def _point(pose: Array) -> str:
@@ -112,10 +112,10 @@ def ranges(
         room = max(abs(step.deviation[i]), shown.thresholds[i][0] if soft else 0.0)
         needed[unit] = max(needed.get(unit, 0.0), 1.2 * scale * float(room))
     out = {}
-    for unit, most in needed.items():
-        held = before.get(unit, 0.0)
-        fits = held >= most and (held <= BAR_SCALES[0] or 3.0 * most > held)
-        out[unit] = held if fits else next((s for s in BAR_SCALES if s >= most), BAR_SCALES[-1])
+    for unit, least in needed.items():
+        last = before.get(unit, 0.0)
+        fits = last >= least and (last <= BAR_SCALES[0] or 3.0 * least > last)
+        out[unit] = last if fits else next((s for s in BAR_SCALES if s >= least), BAR_SCALES[-1])
     return out
 
 
@@ -138,7 +138,7 @@ def axes(info: SceneInfo, shown: SettingsView, step: Step, full: Mapping[str, fl
         unit, scale = unit_of(name)
         soft = step.softness[i] > MIN_SOFTNESS
         colour = SOFT if soft else STIFF
-        off = -scale * float(step.deviation[i])
+        offset = -scale * float(step.deviation[i])
         signs = YIELD_SIGNS.get(shown.axes[name]["yields"], ()) if soft else ()
         marks = [sign * scale * float(d) for sign in signs for d in shown.thresholds[i]]
         force = step.wrench[i] if step.wrench.size == len(info.axes) else 0.0
@@ -152,8 +152,8 @@ def axes(info: SceneInfo, shown: SettingsView, step: Step, full: Mapping[str, fl
         rows.append(
             "<tr>"
             f'<td style="font-weight:600;color:{colour}">{name}</td>'
-            f"<td>{_offset(off / full[unit], colour, [m / full[unit] for m in marks])}</td>"
-            f'<td style="text-align:right;white-space:nowrap">{round(off):+d} {unit}</td>'
+            f"<td>{_offset(offset / full[unit], colour, [m / full[unit] for m in marks])}</td>"
+            f'<td style="text-align:right;white-space:nowrap">{round(offset):+d} {unit}</td>'
             f"<td>{_bar(share, ALERT if share > 0.98 else colour)}</td>"
             f'<td style="text-align:right;white-space:nowrap">{push}</td>'
             f'<td style="text-align:right">{step.compliance[i] * step.softness[i]:.0%}</td>'
@@ -172,19 +172,21 @@ def axes(info: SceneInfo, shown: SettingsView, step: Step, full: Mapping[str, fl
     return _table(head, rows, (32, 66, 60, 66, 80, 34)) + _box(legend)
 
 
-def contact_force(info: SceneInfo, what: ForceEstimate) -> str:
+def contact_force(info: SceneInfo, estimate: ForceEstimate) -> str:
     """Return a line with the estimated force on the tool and its uncertainty [N], base axes."""
     words = []
     for i, name in enumerate(("x", "y", "z")):
-        if name not in info.axes and not np.isfinite(what.bound[i]):
+        if name not in info.axes and not np.isfinite(estimate.bound[i]):
             continue
-        if what.bound[i] > MAX_UNCERTAINTY:
+        if estimate.bound[i] > MAX_UNCERTAINTY:
             words.append(f"{name} ?")
             continue
-        sure = abs(what.force[i]) > what.bound[i]
-        number = f"{what.force[i]:+.1f} ± {what.bound[i]:.1f}"
+        is_significant = abs(estimate.force[i]) > estimate.bound[i]
+        number = f"{estimate.force[i]:+.1f} ± {estimate.bound[i]:.1f}"
         words.append(
-            f'{name} <b style="color:{ALERT}">{number}</b>' if sure else f"{name} {number}"
+            f'{name} <b style="color:{ALERT}">{number}</b>'
+            if is_significant
+            else f"{name} {number}"
         )
     title = _hint(
         "felt at the tool [N]", "Force on the tool, from joint positions alone, ± its bound"
@@ -231,11 +233,11 @@ def summary(lines: Sequence[str]) -> str:
     return _box(f'<ul style="margin:0;padding-left:16px">{items}</ul>')
 
 
-def notice(text: str, wrong: bool) -> str:
-    """Return a box with an error (if `wrong`) or a message; no box for an empty text."""
+def notice(text: str, is_error: bool) -> str:
+    """Return a box with an error or a message; an empty text gives no box."""
     if not text:
         return ""
-    colour = ALERT if wrong else "#2f855a"
+    colour = ALERT if is_error else "#2f855a"
     return _box(
         f'<div style="border-left:3px solid {colour};padding:4px 8px;background:{BACKGROUND}">'
         f"{escape(text)}</div>"
@@ -245,7 +247,7 @@ def notice(text: str, wrong: bool) -> str:
 def _offset(share: float, colour: str, marks: Sequence[float] = ()) -> str:
     """Return a bar from its middle to `share` (-1 to 1), with thin lines at 0 and at `marks`."""
     width = 50.0 * min(abs(share), 1.0)
-    left = 50.0 if share >= 0.0 else 50.0 - width
+    start = 50.0 if share >= 0.0 else 50.0 - width
     lines = "".join(
         f'<i style="position:absolute;left:{50.0 + 50.0 * m:.1f}%;top:-2px;bottom:-2px;'
         f'width:1px;background:{"#bbb" if m == 0.0 else "#333"}"></i>'
@@ -254,7 +256,7 @@ def _offset(share: float, colour: str, marks: Sequence[float] = ()) -> str:
     )
     return (
         f'<div style="position:relative;height:8px;border-radius:4px;background:{BACKGROUND}">'
-        f'<div style="position:absolute;left:{left:.1f}%;width:{width:.1f}%;height:100%;'
+        f'<div style="position:absolute;left:{start:.1f}%;width:{width:.1f}%;height:100%;'
         f'background:{colour}"></div>{lines}</div>'
     )
 

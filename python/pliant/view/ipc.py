@@ -31,9 +31,10 @@ if TYPE_CHECKING:
 SNAPSHOT_RATE = 30.0
 #: Timeout for the start and for the end of the page's process [s].
 TIMEOUT = 30.0
-#: Minimum time between two transmissions from the page to the loop [s]; maximum number of objects
-#: per read of the pipe in the loop.
-MESSAGE_PERIOD, MAX_RECEIVED = 0.02, 4
+#: Minimum time between two transmissions from the page to the loop [s].
+MESSAGE_PERIOD = 0.02
+#: Maximum number of objects that the loop takes from the pipe at a time.
+MAX_RECEIVED = 4
 #: Minimum time between two changes of the settings that the loop handles [s].
 EDIT_PERIOD = 0.05
 
@@ -67,7 +68,7 @@ class ProcessLink:
         name: Name of the other process in error messages.
         module: Module that the other process runs as ``python -m MODULE DESCRIPTOR ARGUMENTS``.
         arguments: Arguments of the module.
-        rate: Maximum rate of `due` [Hz].
+        rate: Maximum rate of snapshots [Hz].
 
     Attributes:
         address: Address that the other process has reported once it was ready.
@@ -140,8 +141,8 @@ class ProcessLink:
     def due(self) -> bool:
         """Return True if a snapshot can be sent.
 
-        At least 1 / `SNAPSHOT_RATE` must have passed since the last snapshot, and the page must
-        have acknowledged the last object.
+        At least 1 / `rate` must have passed since the last snapshot, and the page must have
+        acknowledged the last object.
         """
         return time.perf_counter() >= self._due and self._listen() and self._acknowledged
 

@@ -24,8 +24,10 @@ MAX_COORDINATE = 100.0
 ORTHOGONALITY_TOLERANCE = 1e-6
 #: A push may exceed its maximum by this share [1], because the page's sliders round their values.
 FORCE_TOLERANCE = 1e-3
-#: Maximum number of queued messages, and maximum number of messages handled in one tick.
-MAX_QUEUED, PER_TICK = 64, 8
+#: Maximum number of queued messages.
+MAX_QUEUED = 64
+#: Maximum number of messages handled in one tick.
+PER_TICK = 8
 #: Fields of `pliant.Axis` that get default values when the user changes the control law.
 LAW_FIELDS = frozenset({"soft", "firm", "hold", "stiffness", "damping"})
 
@@ -206,8 +208,8 @@ def _replaces(new: Message, old: Message) -> bool:
             return True
         case Law(), Change(fields=fields):
             return set(fields) <= LAW_FIELDS
-        case Change(axis=axis, fields=fields), Change(axis=before, fields=had):
-            return axis == before and set(had) <= set(fields)
+        case Change(axis=axis, fields=fields), Change(axis=old_axis, fields=old_fields):
+            return axis == old_axis and set(old_fields) <= set(fields)
         case Grab(point=None), Grab(point=None):
             return True
         case Grab(point=None), _:
@@ -226,26 +228,26 @@ def check_target(message: Target, model: Model) -> Array:
         ConfigError: The matrix is not finite, not a pose, or out of the reach of the arm.
     """
     pose = _finite_floats("target", message.pose, (4, 4))
-    turn = pose[:3, :3]
+    rotation = pose[:3, :3]
     with np.errstate(over="ignore", invalid="ignore"):  # huge entries give inf or NaN
-        off = np.abs(turn @ turn.T - np.eye(3)).max()
+        error = np.abs(rotation @ rotation.T - np.eye(3)).max()
     if (
-        not off <= ORTHOGONALITY_TOLERANCE
-        or np.linalg.det(turn) < 0.0
+        not error <= ORTHOGONALITY_TOLERANCE
+        or np.linalg.det(rotation) < 0.0
         or (pose[3] != (0.0, 0.0, 0.0, 1.0)).any()
     ):
         raise ConfigError("target is not a pose: its rotation is not orthogonal")
-    away = math.dist(pose[:3, 3], model.reach_origin)
-    if away > model.reach:
+    distance = math.dist(pose[:3, 3], model.reach_origin)
+    if distance > model.reach:
         raise ConfigError(
-            f"target is {away:.3g} m from {model.joint_names[0]}, and the arm reaches "
+            f"target is {distance:.3g} m from {model.joint_names[0]}, and the arm reaches "
             f"{model.reach:.3g} m"
         )
     return pose
 
 
 def check_push(message: Push, max_push: tuple[float, float]) -> None:
-    """Check force, torque and duration of a push; `max_push`: largest force [N], torque [N·m].
+    """Check a push; `max_push` is the largest component of force [N] and of torque [N·m].
 
     Raises:
         ConfigError: A number is not finite, or exceeds `max_push` or `MAX_PUSH_TIME`.
@@ -255,9 +257,11 @@ def check_push(message: Push, max_push: tuple[float, float]) -> None:
         ("torque", message.torque, max_push[1], "N·m"),
     )
     for name, value, bound, unit in parts:
-        size = float(np.abs(_finite_floats(f"push: {name}", value, (3,))).max())
-        if size > bound * (1.0 + FORCE_TOLERANCE):
-            raise ConfigError(f"push: {name} = {size:.3g} {unit} is more than {bound:.3g} {unit}")
+        largest = float(np.abs(_finite_floats(f"push: {name}", value, (3,))).max())
+        if largest > bound * (1.0 + FORCE_TOLERANCE):
+            raise ConfigError(
+                f"push: {name} = {largest:.3g} {unit} is more than {bound:.3g} {unit}"
+            )
     seconds = float(_finite_floats("push: seconds", message.seconds, ()))
     if not 0.0 < seconds <= MAX_PUSH_TIME:
         raise ConfigError(f"push: seconds = {seconds:.3g} is outside (0, {MAX_PUSH_TIME:g}]")
@@ -269,12 +273,14 @@ def check_grab(message: Grab) -> None:
     Raises:
         ConfigError: A coordinate is not finite, or exceeds `MAX_COORDINATE`.
     """
-    for name, place in (("point", message.point), ("toward", message.toward)):
-        if place is None:
+    for name, point in (("point", message.point), ("toward", message.toward)):
+        if point is None:
             continue
-        away = float(np.abs(_finite_floats(f"hand: {name}", place, (3,))).max())
-        if away > MAX_COORDINATE:
-            raise ConfigError(f"hand: {name} is {away:.3g} m away, more than {MAX_COORDINATE:g} m")
+        largest = float(np.abs(_finite_floats(f"hand: {name}", point, (3,))).max())
+        if largest > MAX_COORDINATE:
+            raise ConfigError(
+                f"hand: {name} is {largest:.3g} m away, more than {MAX_COORDINATE:g} m"
+            )
 
 
 def _finite_floats(name: str, value: object, shape: tuple[int, ...]) -> Array:

@@ -17,11 +17,12 @@ if TYPE_CHECKING:
     from pliant.sim.hand import Wrench
 
 
-#: Time in which the force of a push rises at its start and falls at its end [s].
+#: Duration of the rise of a push's force at its start, and of the fall at its end [s].
 RAMP_TIME = 0.1
-#: Spring between the mouse and the gripped point: length at which its force is the maximum [m], and
-#: ratio of its damping to its stiffness [s].
-FULL_FORCE_DISTANCE, DAMPING_TIME = 0.15, 0.05
+#: Length of the spring between mouse and gripped point at which its force is the maximum [m].
+FULL_FORCE_DISTANCE = 0.15
+#: Ratio of damping to stiffness of that spring [s].
+DAMPING_TIME = 0.05
 
 
 class MouseForce:
@@ -73,8 +74,8 @@ class MouseForce:
                 return
             self.let_go()
             self.at = frame
-            grabbed = plant.ground_truth.frame(frame)
-            self._grip_offset = grabbed.rotation.T @ (np.asarray(point) - grabbed.position)
+            link = plant.ground_truth.frame(frame)
+            self._grip_offset = link.rotation.T @ (np.asarray(point) - link.position)
         elif self._pull_toward is None:
             return
         self._pull_toward = np.asarray(toward, dtype=np.float64)
@@ -92,20 +93,20 @@ class MouseForce:
             self._last_time = t
             return self._applied_wrench[:3], self._applied_wrench[3:], frame.position
         lever = frame.rotation @ self._grip_offset
-        place = frame.position + lever
+        point = frame.position + lever
         twist = frame.twist()
         stiffness = self.max_push / FULL_FORCE_DISTANCE
         speed = twist[:3] + np.cross(twist[3:], lever)
-        pull = stiffness * (self._pull_toward - place) - DAMPING_TIME * stiffness * speed
+        pull = stiffness * (self._pull_toward - point) - DAMPING_TIME * stiffness * speed
         norm = float(np.linalg.norm(pull))
         pull *= min(1.0, self.max_push / max(norm, 1e-9))
-        self.applied = place, pull
-        return pull, self._zero, place
+        self.applied = point, pull
+        return pull, self._zero, point
 
-    def _ramp(self, t: float, place: Array) -> None:
+    def _ramp(self, t: float, point: Array) -> None:
         """Change the applied force gradually to the desired push, or to zero after its end.
 
-        `t` is the simulated time [s], and `place` the point of application (3,) [m].
+        `t` is the simulated time [s], and `point` the point of application (3,) [m].
         """
         desired = self._wrench if t < self._until else np.zeros(6)
         largest_change = np.abs(self._wrench).max() * min(
@@ -115,7 +116,7 @@ class MouseForce:
             desired - self._applied_wrench, -largest_change, largest_change
         )
         self.applied = (
-            (place.copy(), self._applied_wrench[:3]) if self._applied_wrench.any() else None
+            (point.copy(), self._applied_wrench[:3]) if self._applied_wrench.any() else None
         )
 
 

@@ -88,7 +88,7 @@ def main(descriptor: int, host: str, port: int) -> int:
     endpoint = PageEndpoint(descriptor)
     lower_priority()
     try:
-        # Test the address first: for that of another machine, viser would try 1000 ports.
+        # Test the address first: if it is not one of this machine, viser would try 1000 ports.
         family, *_, address = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
         with socket.socket(family, socket.SOCK_STREAM) as probe:
             probe.bind(address)

@@ -56,12 +56,12 @@ class StopPanel:
         command.on_trigger(lambda _: send(messages.Stop()))
         panel.float(x=STOP_MARGIN, y=-STOP_MARGIN, width=STOP_WIDTH)
 
-    def show(self, now: Snapshot) -> None:
+    def show(self, snapshot: Snapshot) -> None:
         """Show phase and message of a snapshot, and the buttons that apply in this phase."""
-        self._status.content = html.status(self._info, now)
-        self.stop.visible, self.start.visible = now.phase != "down", now.phase == "down"
-        self.stop.disabled = now.phase == "lowering"
-        self._notice.content = html.notice(now.notice.text, now.notice.is_error)
+        self._status.content = html.status(self._info, snapshot)
+        self.stop.visible, self.start.visible = snapshot.phase != "down", snapshot.phase == "down"
+        self.stop.disabled = snapshot.phase == "lowering"
+        self._notice.content = html.notice(snapshot.notice.text, snapshot.notice.is_error)
 
     def show_disconnected(self) -> None:
         """Disable the buttons and show that the loop has ended."""
@@ -69,7 +69,7 @@ class StopPanel:
         self._notice.content = html.notice(
             "The loop has ended. Servos that still have torque keep their last goal and limit, "
             "until a guardian lowers the arm.",
-            wrong=True,
+            is_error=True,
         )
 
 
@@ -105,27 +105,27 @@ class Panel:
         side.dock_left()
         side.set_width(LEFT_WIDTH)
 
-    def show(self, now: Snapshot) -> None:
+    def show(self, snapshot: Snapshot) -> None:
         """Show a snapshot of the arm in all panels."""
-        self.stop.show(now)
-        self.controls.show(now)
-        if 0.0 <= now.time - self._last_redraw < REDRAW_PERIOD:
+        self.stop.show(snapshot)
+        self.controls.show(snapshot)
+        if 0.0 <= snapshot.time - self._last_redraw < REDRAW_PERIOD:
             return
-        self._last_redraw = now.time
-        self._health.content = html.health(now.health)
-        if now.step is not None and now.shown is not None:
-            self._ranges = html.ranges(self._info, now.shown, now.step, self._ranges)
-            self._axes.content = html.axes(self._info, now.shown, now.step, self._ranges)
-            self._joints.content = html.joints(self._info, now.step)
-            self._matrix.content = html.matrix(self._info, now.step)
-            self._plots.show(now)
-            if now.contact_force is not None:
-                self._contact_force.content = html.contact_force(self._info, now.contact_force)
+        self._last_redraw = snapshot.time
+        self._health.content = html.health(snapshot.health)
+        if snapshot.step is not None and snapshot.shown is not None:
+            self._ranges = html.ranges(self._info, snapshot.shown, snapshot.step, self._ranges)
+            self._axes.content = html.axes(self._info, snapshot.shown, snapshot.step, self._ranges)
+            self._joints.content = html.joints(self._info, snapshot.step)
+            self._matrix.content = html.matrix(self._info, snapshot.step)
+            self._plots.show(snapshot)
+            if snapshot.contact_force is not None:
+                self._contact_force.content = html.contact_force(self._info, snapshot.contact_force)
             self._last_content = tuple(part.content for part in self._live_displays)
         elif self._last_content is not None:
             for part, content in zip(self._live_displays, self._last_content, strict=True):
                 part.content = html.dimmed(content)
             self._last_content = None
-        if now.report != self._report:
-            self._report = now.report
-            self._sentences.content = html.summary(now.report)
+        if snapshot.report != self._report:
+            self._report = snapshot.report
+            self._sentences.content = html.summary(snapshot.report)

@@ -66,7 +66,7 @@ class Plot:
     def add(self, time: float, values: Array) -> None:
         """Add one point per curve at a time [s].
 
-        If the time is before that of the last point, as in a new run, the plot is cleared first.
+        If the time is before the time of the last point, as in a new run, the plot is cleared.
         """
         if self._rows and time < self._rows[-1][0]:
             self._rows.clear()
@@ -105,14 +105,14 @@ class Plots:
         self._softness_plot = Plot(gui, "Soft [%]", info.axes, 0.0, 100.0)
         self._limit_plot = Plot(gui, LIMITS_TITLE, info.joints, 0.0, 100.0, named=False)
 
-    def show(self, now: Snapshot) -> None:
+    def show(self, snapshot: Snapshot) -> None:
         """Add the values of a snapshot to the plots, at most `POINT_RATE` times a second."""
-        step = now.step
-        if step is None or 0.0 <= now.time - self._last < 1.0 / POINT_RATE:
+        step = snapshot.step
+        if step is None or 0.0 <= snapshot.time - self._last < 1.0 / POINT_RATE:
             return
-        self._last = now.time
-        self._offset_plot.add(now.time, -1e3 * step.deviation[self._linear])
-        self._softness_plot.add(now.time, 100.0 * step.compliance * step.softness)
-        self._limit_plot.add(now.time, 100.0 * step.limit / self._max_torque)
+        self._last = snapshot.time
+        self._offset_plot.add(snapshot.time, -1e3 * step.deviation[self._linear])
+        self._softness_plot.add(snapshot.time, 100.0 * step.compliance * step.softness)
+        self._limit_plot.add(snapshot.time, 100.0 * step.limit / self._max_torque)
         for plot in (self._offset_plot, self._softness_plot, self._limit_plot):
             plot.draw()

@@ -39,7 +39,7 @@ MAX_NOTICE_TIME = 12.0
 class DriveObserver:
     """Wrapper of a drive that keeps the last reading and calls a function after each reading.
 
-    It also sees the readings while `Arm` lowers the arm, when no controller runs.
+    `Arm` also reads through this wrapper while it lowers the arm and no controller runs.
 
     Attributes:
         last: The last reading; None before the first reading.
@@ -47,7 +47,7 @@ class DriveObserver:
     """
 
     def __init__(self, drive: Drive) -> None:
-        """Wrap a drive; other attributes of the drive are forwarded unchanged."""
+        """Wrap a drive; attributes that this class does not define are those of the drive."""
         self._drive = drive
         self.last: JointReadings | None = None
         self.on_read: Callable[[], object] = lambda: None
@@ -162,14 +162,14 @@ class Publisher:
         self._link.send(self._snapshot(tick.q, dict(tick.state.extra), tick.began))
 
     def _measure_timing(self, loop: Loop) -> LoopTiming:
-        """Return the timing of the loop; its lateness is that of the pacer, if there is a pacer."""
-        late = loop.lateness if self._pacer is None else self._pacer.lateness
+        """Return the timing of the loop; with a pacer, lateness is measured against real time."""
+        lateness = loop.lateness if self._pacer is None else self._pacer.lateness
         return LoopTiming(
             rate=1.0 / loop.period,
-            ticks=len(late),
-            p50=late.percentile(50.0),
-            p99=late.percentile(99.0),
-            largest=late.largest,
+            ticks=len(lateness),
+            p50=lateness.percentile(50.0),
+            p99=lateness.percentile(99.0),
+            largest=lateness.largest,
             missed=loop.missed,
             missing=loop.missing,
             rejected=loop.rejected,
@@ -217,7 +217,7 @@ class Publisher:
         return Snapshot(
             time=now,
             phase=self.phase,
-            qpos=self._robot.pose(q, extra),
+            qpos=self._robot.qpos(q, extra),
             mocap=self._robot.mocap(),
             tool=tool,
             step=self._step if running else None,

@@ -27,9 +27,10 @@ if TYPE_CHECKING:
 DEFAULT_COLOUR = (0.42, 0.48, 0.56, 1.0)
 #: Exponent that converts gamma-encoded colours (0 to 1) to linear colours.
 SCREEN_GAMMA = 2.2
-#: Maximum size of a mesh file [bytes], and number of parent folders of the URDF's folder in which
-#: mesh files are searched.
-MAX_MESH_SIZE, PARENT_FOLDERS = 40_000_000, 4
+#: Maximum size of a mesh file [bytes].
+MAX_MESH_SIZE = 40_000_000
+#: Number of parent folders of the URDF's folder in which mesh files are searched.
+PARENT_FOLDERS = 4
 
 
 @dataclass(frozen=True)
@@ -67,10 +68,10 @@ class Visual:
         elif self.kind == "sphere":
             out = trimesh.creation.icosphere(subdivisions=2, radius=self.size[0])
         else:
-            read = trimesh.load(self.path, force="mesh")
-            if not isinstance(read, trimesh.Trimesh) or len(read.faces) == 0:
+            loaded = trimesh.load(self.path, force="mesh")
+            if not isinstance(loaded, trimesh.Trimesh) or len(loaded.faces) == 0:
                 raise ValueError(f"{self.path} has no faces")
-            out = read
+            out = loaded
             out.apply_transform(np.diag((*self.size, 1.0)))
         out.apply_transform(self.pose)
         # Give each face its own vertices: shared vertices would be shaded like rounded edges.
@@ -84,7 +85,7 @@ class Visual:
         return out
 
 
-def visuals(model: Model, figure: mujoco.MjModel, urdf: Path | None = None) -> tuple[Visual, ...]:
+def visuals(model: Model, mj_model: mujoco.MjModel, urdf: Path | None = None) -> tuple[Visual, ...]:
     """Return the visual shapes in the URDF of an arm.
 
     If a shape of a link is invalid, of an unknown kind, or lacks its mesh file, all shapes of the
@@ -92,27 +93,27 @@ def visuals(model: Model, figure: mujoco.MjModel, urdf: Path | None = None) -> t
 
     Args:
         model: The arm.
-        figure: MuJoCo model of the arm, with a site for every link.
+        mj_model: MuJoCo model of the arm, with a site for every link.
         urdf: Path of the URDF, to which mesh paths are relative; None if there is no file.
     """
     root = ElementTree.fromstring(model.source[0])
     colours = {m.get("name", ""): c for m in root.findall("material") if (c := _colour(m))}
-    sites = {figure.site(i).name: i for i in range(figure.nsite)}
+    sites = {mj_model.site(i).name: i for i in range(mj_model.nsite)}
     out: list[Visual] = []
     for link in root.findall("link"):
         site = sites.get(link.get("name", ""))
         if site is None:
             continue
         rotation = np.zeros(9)
-        mujoco.mju_quat2Mat(rotation, figure.site_quat[site])
-        site_pose = _pose(rotation.reshape(3, 3), figure.site_pos[site])
-        body = int(figure.site_bodyid[site])
+        mujoco.mju_quat2Mat(rotation, mj_model.site_quat[site])
+        site_pose = _pose(rotation.reshape(3, 3), mj_model.site_pos[site])
+        body = int(mj_model.site_bodyid[site])
         try:
-            made = [_visual(v, body, site_pose, colours, urdf) for v in link.findall("visual")]
+            shapes = [_visual(v, body, site_pose, colours, urdf) for v in link.findall("visual")]
         except ValueError:
             continue
-        if None not in made:
-            out += [visual for visual in made if visual is not None]
+        if None not in shapes:
+            out += [shape for shape in shapes if shape is not None]
     return tuple(out)
 
 
@@ -219,7 +220,7 @@ class RobotView:
         self.visuals = visuals(arm.model, mj, urdf)
         self._qpos_index = {mj.joint(i).name: int(mj.jnt_qposadr[i]) for i in range(mj.njnt)}
 
-    def pose(self, q: Array, extra: Mapping[str, float]) -> Array:
+    def qpos(self, q: Array, extra: Mapping[str, float]) -> Array:
         """Return the generalised positions (`qpos`) of the MuJoCo model.
 
         Args:

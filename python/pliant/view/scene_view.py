@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
     Send = Callable[[messages.Message], None]
 
-#: Reach of an arm whose target, arrows and axes are drawn in nominal size [m], as for a larger arm;
-#: for a smaller arm, they are scaled down in proportion.
+#: Smallest reach of an arm for which target, arrows and axes are drawn in nominal size [m]; for a
+#: smaller arm, they are scaled down in proportion.
 REFERENCE_REACH = 0.71
 #: Length of the force arrow for the largest push, radius of its shaft, radius and length of its
 #: head, all [m].
@@ -37,12 +37,13 @@ ARROW_COLOUR, LINE_COLOUR, WALL_COLOUR, POST_COLOUR = (
 )
 #: RGB colour of the links (0 to 1).
 LINK_COLOUR = (0.42, 0.48, 0.56)
-#: RGB colours (0 to 255) of a joint with torque limit zero and with its maximum torque. A new
-#: colour is sent to the browser if a component has changed by more than `COLOUR_STEP`.
-NO_TORQUE_COLOUR, FULL_TORQUE_COLOUR, COLOUR_STEP = (52, 62, 78), (255, 106, 19), 6
+#: RGB colours (0 to 255) of a joint with torque limit zero and with its maximum torque.
+NO_TORQUE_COLOUR, FULL_TORQUE_COLOUR = (52, 62, 78), (255, 106, 19)
+#: Change of a colour component above which the new colour is sent to the browser.
+COLOUR_STEP = 6
 #: Number of the MuJoCo geom group for shapes that are not drawn.
 HIDDEN_GROUP = 5
-#: If the floor is less than this below the base frame, the arm is drawn standing on the floor [m].
+#: Largest height of the base frame above the floor for which no post is drawn under the arm [m].
 TABLE_TOLERANCE = 0.05
 #: Length of the drawn base axes [m].
 AXES_LENGTH = 0.32
@@ -52,9 +53,10 @@ WALL_SIZE = 0.5
 GIZMO_SIZE = 0.16
 #: Minimum factor by which the lengths of drawn objects are scaled for a small arm [1].
 MIN_SCALE = 0.3
-#: Vertical field of view of the camera [rad]; assumed ratio of width to height of the visible part
-#: of the scene, between the panels [1].
-FOV, ASPECT = 0.75, 0.75
+#: Vertical field of view of the camera [rad].
+FOV = 0.75
+#: Assumed ratio of width to height of the visible part of the scene, between the panels [1].
+ASPECT = 0.75
 #: Unit vector from the centre of the arm to the camera, base axes.
 VIEW_DIRECTION = np.array((0.532, -0.745, 0.404))
 #: No line from tool to target is drawn if their distance is below this [m].
@@ -77,28 +79,28 @@ class SceneView:
         scene.reset()
         scene.set_up_direction("+z")
         scene.configure_default_lights(cast_shadow=False)
-        self._data = mujoco.MjData(info.figure)
+        self._data = mujoco.MjData(info.mj_model)
         shapes = _body_meshes(info)
-        _paint(info.figure, set(shapes))
-        self._figure = ViserMujocoScene(server, info.figure, num_envs=1)
-        self._figure.camera_tracking_enabled = False
+        _paint(info.mj_model, set(shapes))
+        self._mujoco_scene = ViserMujocoScene(server, info.mj_model, num_envs=1)
+        self._mujoco_scene.camera_tracking_enabled = False
         scene.configure_environment_map(environment_intensity=0.35)
         # One node per body, as parent of the drawn joints, which then move with the body.
-        moved = {int(info.figure.jnt_bodyid[info.figure.joint(j).id]) for j in info.joints}
+        jointed = {int(info.mj_model.jnt_bodyid[info.mj_model.joint(j).id]) for j in info.joints}
         self._nodes: dict[int, viser.SceneNodeHandle] = {
             body: scene.add_mesh_trimesh(f"/arm/{body}", shapes[body])
             if body in shapes
             else scene.add_frame(f"/arm/{body}", show_axes=False)
-            for body in sorted(moved | set(shapes))
+            for body in sorted(jointed | set(shapes))
         }
         self._drums = JointDrums(scene, info)
         self._data.qpos[:] = info.start
-        mujoco.mj_kinematics(info.figure, self._data)
+        mujoco.mj_kinematics(info.mj_model, self._data)
         self._place_nodes()
         _ground(scene, info, size)
         camera = server.initial_camera
         camera.look_at, camera.position = camera_view(
-            info.figure, self._data, info.home[:3, 3], GIZMO_SIZE * size
+            info.mj_model, self._data, info.home[:3, 3], GIZMO_SIZE * size
         )
         camera.fov = FOV
         for number, (point, into) in enumerate(info.walls):
@@ -135,29 +137,29 @@ class SceneView:
         )
         self.gizmo.on_update(self._on_gizmo)
         if info.max_push is not None:
-            for group in self._figure._mesh_groups:
+            for group in self._mujoco_scene._mesh_groups:
                 group.handle.on_drag("left")(self._drag_handler(group.body_ids))
             for body, node in self._nodes.items():
                 if isinstance(node, viser.GlbHandle):
                     node.on_drag("left")(self._drag_handler((body,)))
 
-    def show(self, now: Snapshot) -> None:
+    def show(self, snapshot: Snapshot) -> None:
         """Show a snapshot of the arm in the scene."""
-        self._data.qpos[:] = now.qpos
-        self._data.mocap_pos[:], self._data.mocap_quat[:] = now.mocap
-        mujoco.mj_kinematics(self._info.figure, self._data)
-        self._figure.update_from_mjdata(self._data)
+        self._data.qpos[:] = snapshot.qpos
+        self._data.mocap_pos[:], self._data.mocap_quat[:] = snapshot.mocap
+        mujoco.mj_kinematics(self._info.mj_model, self._data)
+        self._mujoco_scene.update_from_mjdata(self._data)
         self._place_nodes()
-        self._drums.show(now)
-        self._show_hand(now)
-        step = now.step
+        self._drums.show(snapshot)
+        self._show_hand(snapshot)
+        step = snapshot.step
         if step is None:
             self._target_line.visible = False
             return
         if not self._dragging:
             self.gizmo.position = step.target[:3, 3]
             self.gizmo.wxyz = self._gizmo_orientation(step.target)
-        ends = np.stack((now.tool[:3, 3], step.target[:3, 3]))[None]
+        ends = np.stack((snapshot.tool[:3, 3], step.target[:3, 3]))[None]
         self._target_line.visible = bool(np.linalg.norm(ends[0, 1] - ends[0, 0]) > MIN_LINE_LENGTH)
         self._target_line.points = ends.astype(np.float32)
 
@@ -166,10 +168,10 @@ class SceneView:
         for body, node in self._nodes.items():
             node.position, node.wxyz = self._data.xpos[body], self._data.xquat[body]
 
-    def _show_hand(self, now: Snapshot) -> None:
+    def _show_hand(self, snapshot: Snapshot) -> None:
         shown = False
-        if now.hand_force is not None:
-            point, force = now.hand_force
+        if snapshot.hand_force is not None:
+            point, force = snapshot.hand_force
             arrow = force * (self._size * ARROW_LENGTH / max(self._info.force, 1e-9))
             shown = bool(np.linalg.norm(arrow) > 0.004)
             if shown:
@@ -180,10 +182,11 @@ class SceneView:
     def _gizmo_orientation(self, target: Array) -> Array:
         """Return the quaternion wxyz at which the gizmo is drawn.
 
-        It is that of the target (4, 4), or the identity if the task has no rotation axes.
+        It is the orientation of the target (4, 4), or the identity if the task has no rotation
+        axes.
         """
-        turned = target[:3, :3] if self._has_rotations else np.eye(3)
-        return np.asarray(tf.SO3.from_matrix(turned).wxyz)
+        rotation = target[:3, :3] if self._has_rotations else np.eye(3)
+        return np.asarray(tf.SO3.from_matrix(rotation).wxyz)
 
     async def _on_gizmo(self, event: viser.TransformControlsEvent) -> None:
         """Send the pose of the gizmo as new target; a coroutine, so that viser keeps the order."""
@@ -218,10 +221,10 @@ class JointDrums:
 
     def __init__(self, scene: viser.SceneApi, info: SceneInfo) -> None:
         """Add a cylinder on the axis of every joint of the chain, fixed to the body it moves."""
-        figure = info.figure
+        mj_model = info.mj_model
         self._max_torque = info.max_torque
-        arm = [figure.body(int(b)).name.startswith("body:") for b in figure.geom_bodyid]
-        link_radius = float(figure.geom_size[arm, 0].max(initial=0.008))
+        is_link = [mj_model.body(int(b)).name.startswith("body:") for b in mj_model.geom_bodyid]
+        link_radius = float(mj_model.geom_size[is_link, 0].max(initial=0.008))
         # With URDF shapes, which cover the joints, make the cylinders thinner and longer.
         radius, height = (0.7, 3.2) if info.visuals else (1.2, 2.5)
         drum = trimesh.creation.cylinder(
@@ -231,24 +234,24 @@ class JointDrums:
         self._colours = np.tile(np.array(NO_TORQUE_COLOUR), (len(info.joints), 1))
         self._drums = []
         for name in info.joints:
-            joint = figure.joint(name).id
-            body = int(figure.jnt_bodyid[joint])
+            joint = mj_model.joint(name).id
+            body = int(mj_model.jnt_bodyid[joint])
             self._drums.append(
                 scene.add_mesh_simple(
                     f"/arm/{body}/{name}",
                     vertices=drum.vertices,
                     faces=drum.faces,
                     color=NO_TORQUE_COLOUR,
-                    position=figure.jnt_pos[joint],
-                    wxyz=_upright_to(figure.jnt_axis[joint][None])[0],
+                    position=mj_model.jnt_pos[joint],
+                    wxyz=_upright_to(mj_model.jnt_axis[joint][None])[0],
                 )
             )
 
-    def show(self, now: Snapshot) -> None:
+    def show(self, snapshot: Snapshot) -> None:
         """Colour the cylinder of every joint by the ratio of torque limit to maximum torque."""
         share = np.zeros(len(self._drums))
-        if now.step is not None:
-            share = np.clip(now.step.limit / np.maximum(self._max_torque, 1e-9), 0.0, 1.0)
+        if snapshot.step is not None:
+            share = np.clip(snapshot.step.limit / np.maximum(self._max_torque, 1e-9), 0.0, 1.0)
         mixed = np.array(NO_TORQUE_COLOUR) + share[:, None] ** 2 * (
             np.array(FULL_TORQUE_COLOUR) - np.array(NO_TORQUE_COLOUR)
         )
@@ -267,14 +270,14 @@ def _upright_to(axes: Array) -> Array:
     return out
 
 
-def _paint(figure: mujoco.MjModel, bodies_with_meshes: set[int]) -> None:
+def _paint(mj_model: mujoco.MjModel, bodies_with_meshes: set[int]) -> None:
     """Colour the links of the arm; hide planes, and simulated shapes of bodies with URDF shapes."""
-    for i in range(figure.ngeom):
-        body = int(figure.geom_bodyid[i])
-        if figure.body(body).name.startswith("body:"):
-            figure.geom_rgba[i] = (*LINK_COLOUR, 1.0)
-        if body in bodies_with_meshes or figure.geom_type[i] == mujoco.mjtGeom.mjGEOM_PLANE:
-            figure.geom_group[i] = HIDDEN_GROUP
+    for i in range(mj_model.ngeom):
+        body = int(mj_model.geom_bodyid[i])
+        if mj_model.body(body).name.startswith("body:"):
+            mj_model.geom_rgba[i] = (*LINK_COLOUR, 1.0)
+        if body in bodies_with_meshes or mj_model.geom_type[i] == mujoco.mjtGeom.mjGEOM_PLANE:
+            mj_model.geom_group[i] = HIDDEN_GROUP
 
 
 def _body_meshes(info: SceneInfo) -> dict[int, trimesh.Trimesh]:
@@ -298,15 +301,15 @@ def _body_meshes(info: SceneInfo) -> dict[int, trimesh.Trimesh]:
 
 def _floor_height(info: SceneInfo) -> float:
     """Return the height of the floor in base axes [m]."""
-    figure = info.figure
-    planes = np.flatnonzero(figure.geom_type == mujoco.mjtGeom.mjGEOM_PLANE)
+    mj_model = info.mj_model
+    planes = np.flatnonzero(mj_model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE)
     if planes.size:
-        return float(figure.geom_pos[planes[0], 2])
+        return float(mj_model.geom_pos[planes[0], 2])
     if info.table is not None:
         return info.table
     # Without a known table, assume that the base stands on the floor if its lowest point is near
     # the base frame.
-    standing = [v for v in info.visuals if figure.body(v.body).parentid[0] == 0]
+    standing = [v for v in info.visuals if mj_model.body(v.body).parentid[0] == 0]
     lows = [v.mesh().bounds[0, 2] for v in standing if v.kind != "mesh"]
     if lows and abs(min(lows)) < TABLE_TOLERANCE:
         return float(min(lows))
@@ -348,16 +351,16 @@ def _ground(scene: viser.SceneApi, info: SceneInfo, size: float) -> None:
 
 
 def camera_view(
-    figure: mujoco.MjModel, data: mujoco.MjData, tool: Array, room: float
+    mj_model: mujoco.MjModel, data: mujoco.MjData, tool: Array, room: float
 ) -> tuple[Array, Array]:
     """Return the point at which the camera looks and the camera position, (3,) [m] each.
 
     The camera sees all links in the state `data`, and a sphere of radius `room` [m] around the tool
     position `tool` (3,) [m].
     """
-    arm = [figure.body(int(b)).name.startswith("body:") for b in figure.geom_bodyid]
-    points = np.vstack((data.geom_xpos[arm], tool))
-    sizes = np.append(figure.geom_rbound[arm], room)
+    is_link = [mj_model.body(int(b)).name.startswith("body:") for b in mj_model.geom_bodyid]
+    points = np.vstack((data.geom_xpos[is_link], tool))
+    sizes = np.append(mj_model.geom_rbound[is_link], room)
     centre = 0.5 * ((points - sizes[:, None]).min(axis=0) + (points + sizes[:, None]).max(axis=0))
     radius = float((np.linalg.norm(points - centre, axis=1) + sizes).max())
     # Use the horizontal field of view: the part of the window between the panels is narrower than
@@ -369,12 +372,12 @@ def camera_view(
 def _wall(scene: viser.SceneApi, name: str, point: Array, into: Array) -> None:
     side = np.cross(into, (0.0, 0.0, 1.0) if abs(into[2]) < 0.9 else (1.0, 0.0, 0.0))
     side /= np.linalg.norm(side)
-    turn = np.stack([into, side, np.cross(into, side)], axis=1)
+    rotation = np.stack([into, side, np.cross(into, side)], axis=1)
     scene.add_box(
         name,
         color=WALL_COLOUR,
         dimensions=(0.02, WALL_SIZE, WALL_SIZE),
         opacity=0.55,
         position=point + 0.01 * into,
-        wxyz=tf.SO3.from_matrix(turn).wxyz,
+        wxyz=tf.SO3.from_matrix(rotation).wxyz,
     )

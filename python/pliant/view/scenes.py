@@ -20,18 +20,23 @@ if TYPE_CHECKING:
     from pliant.sim import Fixture, Hand, Plant
 
 
-#: Scripted target: speed [m/s], distance of a pull at door or drawer [m], and pause before it
-#: returns [s].
-TARGET_SPEED, PULL_DISTANCE, REST_TIME = 0.06, 0.26, 1.5
+#: Speed of the scripted target [m/s].
+TARGET_SPEED = 0.06
+#: Travel of the scripted target that pulls a door or drawer [m].
+PULL_DISTANCE = 0.26
+#: Pause of the scripted target before it returns [s].
+REST_TIME = 1.5
 #: Start postures (joint positions) of small arms [rad]: the gripper is in front of the base, and
 #: every joint can move in both directions.
 START_POSTURES = {"so101": (0.0, -0.3, 0.3, 0.9, 0.0), "koch": (0.0, -0.3, 0.3, 0.9, 0.0)}
-#: Travel of the scripted target toward the wall, and initial distance of the tool from it [m].
-WALL_TRAVEL, WALL_DISTANCE = 0.12, 0.05
+#: Travel of the scripted target toward the wall [m].
+WALL_TRAVEL = 0.12
+#: Initial distance of the tool from the wall [m].
+WALL_DISTANCE = 0.05
 #: Force of a simulated person who takes the object from the gripper: start after the click on the
 #: button, time in which the force rises, and duration, all [s].
 TAKE_PROFILE = ForceProfile(start=0.3, rise=1.5, end=30.0)
-#: Force of the simulated person before the click: it starts after the end of any run [s].
+#: Force of the simulated person before the click: its times are after the end of any run [s].
 NO_FORCE = ForceProfile(start=1e9, rise=1.0, end=2e9)
 
 

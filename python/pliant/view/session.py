@@ -118,7 +118,7 @@ class Session:
                 arm.disable_torque()
 
     def _control(self, arm: Arm) -> None:
-        """Run the control loop, with a log, until the user wants to stop or change the scene."""
+        """Run the control loop until the user wants to stop or change the scene; log if wanted."""
         controller = self._prepare(arm)
         recorder = None
         if self._log is not None:
@@ -158,9 +158,9 @@ class Session:
         return command
 
     def _prepare(self, arm: Arm) -> Controller:
-        """Create and return the controller of a run; create the user's force; describe the scene.
+        """Prepare a run, and return its controller.
 
-        The description of the scene is sent to the page.
+        Create the controller and the user's force, and send a description of the scene to the page.
         """
         q = arm.read().q
         if self._source.scene is not None and self._is_new_scene:
@@ -185,12 +185,12 @@ class Session:
         self.publisher.estimate_contact(controller)
         self.publisher.shown = self.editor.describe(controller, q)
         info = SceneInfo(
-            figure=self._robot.plant.mj_model,
+            mj_model=self._robot.plant.mj_model,
             arm=display_name(arm.model.name),
             where=self._source.where,
             axes=names,
             joints=arm.model.joint_names,
-            start=self._robot.pose(q, {}),
+            start=self._robot.qpos(q, {}),
             max_torque=np.asarray(arm.servos.max_torque),
             scene=self._source.name,
             scenes={name: scene.about for name, scene in self._source.scenes.items()},

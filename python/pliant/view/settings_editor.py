@@ -30,7 +30,7 @@ class SettingsEditor:
     Args:
         axes: Task axes, as text for `pliant.Task`.
         rate: Control rate [Hz].
-        own: Settings of a configuration file; None: there is no configuration file.
+        file_settings: Settings of a configuration file; None: there is no configuration file.
 
     Attributes:
         settings: The settings as if `firm` were False.
@@ -39,7 +39,7 @@ class SettingsEditor:
         presets: Names of all presets.
     """
 
-    def __init__(self, axes: str, rate: float, own: Settings | None = None) -> None:
+    def __init__(self, axes: str, rate: float, file_settings: Settings | None = None) -> None:
         """Start with the settings of the file, or with the first preset if there is no file.
 
         If the file leaves all task axes at their defaults, the first preset sets them.
@@ -47,12 +47,13 @@ class SettingsEditor:
         self._rate = rate
         self._makers = _presets(axes)
         self.preset = next(iter(self._makers))
-        if own is not None:
-            self._makers = {FILE_PRESET: lambda: own, **_limit_speeds(self._makers, own)}
-            if _is_plain(own):
+        if file_settings is not None:
+            limited = _limit_speeds(self._makers, file_settings)
+            self._makers = {FILE_PRESET: lambda: file_settings, **limited}
+            if _has_default_axes(file_settings):
                 # Let the first preset set only the axes; all other settings are those of the file.
                 first = self._axes(self._makers[self.preset]())
-                self._makers[self.preset] = lambda: own.replace(axes=first)
+                self._makers[self.preset] = lambda: file_settings.replace(axes=first)
             else:
                 self.preset = FILE_PRESET
         self.firm = False
@@ -88,12 +89,12 @@ class SettingsEditor:
         Raises:
             ConfigError: The controller rejects the change; nothing has changed.
         """
-        before = self.settings, self.preset, self.firm
+        previous = self.settings, self.preset, self.firm
         try:
             self._change(message, controller)
             controller.update(self.effective)
         except (PliantError, TypeError, ValueError) as error:
-            self.settings, self.preset, self.firm = before
+            self.settings, self.preset, self.firm = previous
             # Put the name of the axis in place of "Axis." in the error texts of the core.
             where = f"axes.{message.axis}" if isinstance(message, messages.Change) else "Axis"
             raise ConfigError(str(error).replace("Axis.", f"{where}.", 1)) from error
@@ -104,9 +105,9 @@ class SettingsEditor:
             case messages.Preset(name=preset):
                 self.begin(preset)
             case messages.Law(law=law):
-                bare: dict[str, Any] = dict.fromkeys(messages.LAW_FIELDS)
+                defaults: dict[str, Any] = dict.fromkeys(messages.LAW_FIELDS)
                 for name, axis in axes.items():
-                    axes[name] = axis.replace(**{**bare, "yields": yields_of(axis)})
+                    axes[name] = axis.replace(**{**defaults, "yields": yields_of(axis)})
                 # Cast for the type checker only; `Settings` rejects an unknown law.
                 known = cast("Literal['cap', 'impedance', 'paper']", law)
                 self.settings = self.settings.replace(law=known, axes=axes)
@@ -169,20 +170,20 @@ def yields_of(axis: Axis) -> Literal["both", "+", "-", "none"]:
     return "none" if axis.soft is None and axis.firm is None else "both"
 
 
-def _is_plain(settings: Settings) -> bool:
+def _has_default_axes(settings: Settings) -> bool:
     """Return True if the settings leave every axis of their task at the defaults."""
     return all(settings.axes[name] == Axis() for name in settings.task.names)
 
 
 def _limit_speeds(
-    makers: dict[str, Callable[[], Settings]], own: Settings
+    makers: dict[str, Callable[[], Settings]], bounds: Settings
 ) -> dict[str, Callable[[], Settings]]:
-    """Return the functions that make presets, with tool speeds limited to those of `own`."""
+    """Return functions that make the presets, with the tool speeds of `bounds` as upper bounds."""
 
     def limited(make: Callable[[], Settings]) -> Callable[[], Settings]:
         def changed() -> Settings:
             out = make()
-            (speed, turn), (max_speed, max_turn) = out.max_tool_speed, own.max_tool_speed
+            (speed, turn), (max_speed, max_turn) = out.max_tool_speed, bounds.max_tool_speed
             return out.replace(max_tool_speed=(min(speed, max_speed), min(turn, max_turn)))
 
         return changed
@@ -203,5 +204,8 @@ def _presets(axes: str) -> dict[str, Callable[[], Settings]]:
 
     out = {f"soft {name}": soft(name) for name in ("y", "x", "z") if name in names}
     out["soft all"] = soft(" ".join(names))
-    more = ("door", "drawer", "wipe", "plug", "paper") if len(names) == 6 else ()
-    return {**out, **{name: named(name) for name in ("firm", "hand_guiding", "hand_over", *more)}}
+    further = ("door", "drawer", "wipe", "plug", "paper") if len(names) == 6 else ()
+    return {
+        **out,
+        **{name: named(name) for name in ("firm", "hand_guiding", "hand_over", *further)},
+    }

@@ -20,12 +20,12 @@ class SceneInfo:
     """Description of arm and scene for the page, constant until the scene changes.
 
     Attributes:
-        figure: MuJoCo model of the arm and its scene, for drawing.
+        mj_model: MuJoCo model of the arm and its scene, for drawing.
         arm: Display name of the arm.
         where: `simulated`, or the backend of the configuration.
         axes: Names of the k task axes.
         joints: Names of the n joints.
-        start: Initial generalised positions (`qpos`) of `figure`.
+        start: Initial generalised positions (`qpos`) of `mj_model`.
         max_torque: Maximum torque of each joint (n,) [N·m].
         scene: Name of the scene; empty: the arm has no scenes.
         scenes: Description of every scene by name.
@@ -40,7 +40,7 @@ class SceneInfo:
         table: Height of the table under the arm, base axes [m]; None: unknown.
     """
 
-    figure: Any
+    mj_model: Any
     arm: str
     where: str
     axes: tuple[str, ...]
@@ -167,7 +167,7 @@ class Snapshot:
     Attributes:
         time: Time on the arm's clock [s].
         phase: Phase of the run: `starting`, `running`, `lowering` or `down`.
-        qpos: Generalised positions of the MuJoCo model `SceneInfo.figure`.
+        qpos: Generalised positions of the MuJoCo model `SceneInfo.mj_model`.
         mocap: Positions (m, 3) [m] and quaternions wxyz (m, 4) of the mocap bodies of that model.
         tool: Pose of the tool (4, 4).
         step: State of the controller; None while no controller runs.

@@ -128,7 +128,7 @@ class Configured(Source):
         return self._connect()
 
 
-#: Largest lag of a simulation behind real time that it catches up later [s].
+#: Lag of a simulation behind real time above which it does not catch up the excess [s].
 MAX_LATENESS = 0.03
 #: Time window over which the speed of the simulation is measured [s].
 SPEED_WINDOW = 2.0
@@ -156,10 +156,10 @@ class RealtimePacer:
         If the simulation is late by more than `MAX_LATENESS`, the excess is never caught up.
         """
         now = self._clock.now()
-        late = self._wall.now() - (now + self._offset)
-        self.lateness.add(late)
-        if late > MAX_LATENESS:
-            self._offset += late - MAX_LATENESS
+        lateness = self._wall.now() - (now + self._offset)
+        self.lateness.add(lateness)
+        if lateness > MAX_LATENESS:
+            self._offset += lateness - MAX_LATENESS
         else:
             self._wall.wait_until(now + self._offset)
         self._history.append((time.perf_counter(), now))

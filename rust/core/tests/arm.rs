@@ -518,6 +518,10 @@ fn errors_of_the_limiter_name_the_argument() {
     assert!(refused(&LimiterInput { off_chain: &[], ..input }).contains("off_chain"));
     assert!(refused(&LimiterInput { goal: &[f64::NAN; 7], ..input }).contains("goal[0]"));
     assert!(refused(&LimiterInput { torque_limit: &[-1.0; 7], ..input }).contains("limit[0]"));
+    assert!(refused(&LimiterInput { goal: &goal, ..input }).contains("goal[2]"));
+    assert_eq!(limiter.speeds(&[1.0; 7]).unwrap(), [f64::INFINITY, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0]);
+    assert!(limiter.speeds(&[-1.0; 7]).unwrap_err().to_string().contains("velocity"));
+    assert!(limiter.speeds(&[1.0; 8]).unwrap_err().to_string().contains("velocity has shape (8,)"));
     let create = |chain: &[usize], kp: &[f64]| CommandLimiter::new(&model, &servos(), chain, kp, &[1.0; 7]);
     assert!(create(&[0, 1, 2, 3, 4, 5, 5], &[1.0; 7]).unwrap_err().to_string().contains("chain"));
     assert!(create(&[0, 1, 2, 3, 4, 5, 7], &[1.0; 7]).unwrap_err().to_string().contains("below 7"));
@@ -555,8 +559,10 @@ proptest! {
             }
             prop_assert!(filter.position().iter().all(|q| q.is_nan() || q.is_finite()));
             limiter.update_heat(&mut thermal, [&goals, &limits], filter.position(), Some(position), 0.01).unwrap();
+            // Goals that the arm can reach; an infinite command is refused for its torque limit.
+            let goal = command.map(|value| value.clamp(-1.0, 1.0));
             let input = LimiterInput {
-                goal: command,
+                goal: &goal,
                 torque_limit: command,
                 gravity: &[1.0; 7],
                 position,

@@ -332,3 +332,69 @@ fn errors_name_invalid_options() {
             .contains("give the controller servos")
     );
 }
+
+/// Returns the numbers of reading `k`.
+fn row(array: Option<&[f64]>, k: usize) -> Option<&[f64]> {
+    array.map(|array| &array[k * 7..][..7])
+}
+
+#[test]
+fn a_series_has_the_numbers_of_its_readings_one_by_one() {
+    let ctl = controller_with(Settings { delay: 0.02, ..Settings::default() }, servos());
+    let count = 12;
+    let series = |scale: f64, shift: usize| -> Vec<f64> {
+        (0..count * 7).map(|i| GRASP[i % 7] + scale * noise(i + shift)).collect()
+    };
+    let (q, goal) = (series(0.01, 0), series(0.1, 500));
+    let velocity: Vec<f64> = (0..count * 7).map(|i| noise(i + 700)).collect();
+    let load: Vec<f64> = (0..count * 7).map(|i| 5.0 * noise(i + 900)).collect();
+    let limit = [8.0; 12 * 7];
+    let sent = Some([&goal[..], &limit[..]]);
+    let inputs = [
+        ContactInput { sent, dt: Some(0.01), ..ContactInput::default() },
+        ContactInput { load: Some(&load), ..ContactInput::default() },
+        ContactInput { sent, dq: Some(&velocity), ..ContactInput::default() },
+    ];
+    let mut eventful = ContactOptions { accept_thresholds: true, min_time: 0.05, ..exact_options() };
+    eventful.touch[2] = Some(1.0);
+    for options in [exact_options(), ContactOptions { payload_error: 0.1, ..ContactOptions::default() }, eventful] {
+        for input in inputs {
+            let mut single = ContactEstimator::new(&ctl, options.clone()).unwrap();
+            let mut several = single.clone();
+            for k in 0..count {
+                let one_reading = ContactInput {
+                    dq: row(input.dq, k),
+                    load: row(input.load, k),
+                    sent: input.sent.map(|sent| sent.map(|array| &array[k * 7..][..7])),
+                    ..input
+                };
+                single.update(&ctl, &q[k * 7..][..7], &one_reading).unwrap();
+            }
+            assert_eq!(several.update_series(&ctl, &q, &input).unwrap(), single.estimate());
+            single.tare().unwrap();
+            several.tare().unwrap();
+            single.update_series(&ctl, &q, &input).unwrap();
+            assert_eq!(several.update_series(&ctl, &q, &input).unwrap(), single.estimate());
+        }
+    }
+}
+
+#[test]
+fn a_series_with_an_invalid_reading_leaves_the_estimate() {
+    let ctl = controller();
+    let mut contact = ContactEstimator::new(&ctl, exact_options()).unwrap();
+    let torque = holding_torque(ctl.model(), &GRASP, &wrench(1));
+    settled_estimate(&mut contact, &ctl, &GRASP, &goal(&GRASP, &torque), &WIDE);
+    let before = *contact.estimate();
+    let (mut q, limit) = ([GRASP, GRASP, GRASP].concat(), [100.0; 21]);
+    for (part, broken) in [(20, false), (0, false), (21, true)] {
+        q[16] = if broken { f64::NAN } else { GRASP[2] };
+        let sent = Some([&limit[..], &limit[..]]);
+        let input = ContactInput { sent, ..ContactInput::default() };
+        assert!(contact.update_series(&ctl, &q[..part], &input).is_err());
+        assert_eq!(*contact.estimate(), before);
+    }
+    // The next update begins without commands.
+    let input = ContactInput { sent: Some([&GRASP, &WIDE]), ..ContactInput::default() };
+    assert!(contact.update(&ctl, &GRASP, &input).is_ok());
+}

@@ -181,9 +181,11 @@ fn contact_estimation_does_not_allocate() {
     let q = [-0.13, -0.60, 0.72, -1.74, 0.93, 0.68, -0.17];
     let target = model.forward_kinematics(&q).unwrap();
     let input = pliant_core::ContactInput::default();
+    let readings = [q, q].concat();
     let count = calls(|| {
         for _ in 0..20 {
             contact.update(&controller, &q, &input).unwrap();
+            contact.update_series(&controller, &readings, &input).unwrap();
             controller.step(&q, &target, &StepInput::default()).unwrap();
         }
     });
@@ -210,7 +212,7 @@ fn limits_of_commands_do_not_allocate() {
             let time = [0.01 * f64::from(tick); pliant_core::MAX_JOINTS];
             filter.update(&q, &ok, &time[..n]);
             let input = LimiterInput {
-                goal: &q,
+                goal: model.upper(),
                 torque_limit: &ones,
                 gravity: &ones,
                 position: filter.position(),
@@ -219,7 +221,7 @@ fn limits_of_commands_do_not_allocate() {
                 ramp_start: &ones,
                 may_lead: tick % 2 == 0,
             };
-            let _ = limiter.unreachable(&ones);
+            limiter.speeds(&ones).unwrap();
             limiter.limit(&thermal, &input).unwrap();
             limiter.update_heat(&mut thermal, [&q, &ones], &q, Some(&q), 0.01).unwrap();
         }

@@ -40,6 +40,10 @@ impl Command {
         Ok(Self::of([goal, limit, speed].map(|values| new_array(py, &[values.len()], &values).unbind())))
     }
 
+    fn __getnewargs__(&self, py: Python<'_>) -> (Py<PyAny>, Py<PyAny>, Py<PyAny>) {
+        (self.goal.clone_ref(py), self.torque_limit.clone_ref(py), self.speed_limit.clone_ref(py))
+    }
+
     fn __repr__(&self, py: Python<'_>) -> PyResult<String> {
         let text = |array: &Py<PyAny>| array.bind(py).repr().map(|repr| repr.to_string());
         let (goal, limit, speed_limit) = (text(&self.goal)?, text(&self.torque_limit)?, text(&self.speed_limit)?);

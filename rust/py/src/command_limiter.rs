@@ -1,31 +1,42 @@
 //! Python class `CommandLimiter`: limits of goals and torque limits before they are sent.
 
-use numpy::PyArray1;
 use pliant_core::arm::LimiterInput;
 use pliant_core::{CommandLimiter as CoreLimiter, MAX_JOINTS};
 use pyo3::prelude::*;
 
 use crate::arguments;
 use crate::error::{OrRaise, shape, tuple};
+use crate::model::Model;
 use crate::ndarray::new_array;
 use crate::position_filter::PositionFilter;
 use crate::read::compact::{array_into, joints};
 use crate::read::vector;
 use crate::thermal::ThermalModel;
 
-/// Goals and torque limits of all joints, arrays (N,).
-type Limited<'py> = (Bound<'py, PyAny>, Bound<'py, PyAny>);
-/// Mask of new positions, positions and their ages, arrays (n,); oldest time; positions off the chain; true for faults.
-type Updated<'py> = (Bound<'py, PyArray1<bool>>, Bound<'py, PyAny>, Bound<'py, PyAny>, f64, Vec<f64>, bool);
+type Object<'py> = Bound<'py, PyAny>;
+/// Goals, torque limits and largest speeds of all joints (N,); gravity torques (n,).
+type Limited<'py> = (Object<'py>, Object<'py>, Option<Object<'py>>, Option<Object<'py>>);
+/// True if all positions are new; positions (n,); oldest time; positions off the chain; ages (n,); velocities, torques
+/// and currents (n,); true for faults.
+type Updated<'py> = (
+    bool,
+    Object<'py>,
+    f64,
+    Vec<f64>,
+    Object<'py>,
+    Option<Object<'py>>,
+    Option<Object<'py>>,
+    Option<Object<'py>>,
+    bool,
+);
 
 #[doc = stub!(CommandLimiter)]
 #[pyclass(module = "pliant._core")]
 #[derive(Debug)]
 pub(crate) struct CommandLimiter {
     core: CoreLimiter,
+    model: Py<Model>,
     thermal: Py<ThermalModel>,
-    position: Vec<f64>,
-    off_chain: Vec<[f64; 2]>,
     goal: Vec<f64>,
     limit: Vec<f64>,
     load: Vec<f64>,
@@ -48,8 +59,7 @@ impl CommandLimiter {
         let (kp, max_torque) = (vector("kp", kp)?, vector("max_torque", max_torque)?);
         let core = CoreLimiter::new(&model.get().core, &servos.get().0, &chain, &kp, &max_torque).or_raise()?;
         let zeros = || vec![0.0; kp.len()];
-        let off_chain = vec![[0.0; 2]; core.size() - core.n()];
-        Ok(Self { core, thermal, off_chain, position: zeros(), goal: zeros(), limit: zeros(), load: zeros() })
+        Ok(Self { core, model, thermal, goal: zeros(), limit: zeros(), load: zeros() })
     }
 
     #[doc = stub!(CommandLimiter.unreachable)]
@@ -59,47 +69,67 @@ impl CommandLimiter {
     }
 
     #[doc = stub!(CommandLimiter.limit)]
-    #[pyo3(signature = (goal, limit, gravity, position, off_chain, *, ramp, ramp_start, lead))]
-    #[expect(clippy::too_many_arguments, reason = "keyword-only and named")]
+    #[pyo3(signature = (goal, limit, velocity, positions, off_chain, ramp, ramp_start, *, lead))]
+    #[expect(clippy::too_many_arguments, reason = "a command, and the state for which it is limited")]
+    #[expect(clippy::needless_pass_by_value, reason = "what PyO3 extracts it hands over")]
     fn limit<'py>(
         &mut self,
         goal: &Bound<'py, PyAny>,
         limit: &Bound<'py, PyAny>,
-        gravity: &Bound<'py, PyAny>,
-        position: &Bound<'py, PyAny>,
-        off_chain: &Bound<'py, PyAny>,
+        velocity: Option<&Bound<'py, PyAny>>,
+        positions: &Bound<'py, PositionFilter>,
+        off_chain: Vec<[f64; 2]>,
         ramp: f64,
         ramp_start: &Bound<'py, PyAny>,
         lead: bool,
     ) -> PyResult<Limited<'py>> {
         let (py, n, size) = (goal.py(), self.core.n(), self.core.size());
-        array_into("position", position, &[size], &mut self.position)?;
-        array_into("off_chain", off_chain, &[size - n, 2], self.off_chain.as_flattened_mut())?;
-        let thermal = self.thermal.bind(py).borrow();
+        let goal = joints("goal", goal, n)?;
+        let speeds = match velocity {
+            Some(velocity) => {
+                let speeds = self.core.speeds(&joints("velocity", velocity, n)?[..n]).or_raise()?;
+                Some(new_array(py, &[size], speeds))
+            }
+            None => None,
+        };
+        let filter = positions.try_borrow()?;
+        let position = filter.core.position();
+        if position.len() != size {
+            return Err(shape("position", &[position.len()], tuple(&[size])));
+        }
+        let mut q = [0.0; MAX_JOINTS];
+        for (q, joint) in q.iter_mut().zip(self.core.chain()) {
+            *q = position[*joint];
+        }
+        let gravity = self.model.get().core.gravity(&q[..n]).or_raise()?;
+        let thermal = self.thermal.bind(py).try_borrow()?;
         let input = LimiterInput {
-            goal: &joints("goal", goal, n)?[..n],
+            goal: &goal[..n],
             torque_limit: &joints("limit", limit, n)?[..n],
-            gravity: &joints("gravity", gravity, n)?[..n],
-            position: &self.position,
-            off_chain: &self.off_chain,
+            gravity: gravity.as_slice(),
+            position,
+            off_chain: &off_chain,
             ramp,
             ramp_start: &joints("ramp_start", ramp_start, n)?[..n],
             may_lead: lead,
         };
         let (goals, limits) = self.core.limit(&thermal.core, &input).or_raise()?;
-        Ok((new_array(py, &[size], goals), new_array(py, &[size], limits)))
+        let array = |values: &[f64]| new_array(py, &[values.len()], values);
+        Ok((array(goals), array(limits), speeds, (!lead).then(|| array(gravity.as_slice()))))
     }
 
     #[doc = stub!(CommandLimiter.update)]
-    #[pyo3(signature = (positions, position, ok, time, load, *, goal, limit, dt, now, max_jumps, max_heat))]
-    #[expect(clippy::too_many_arguments, reason = "keyword-only and named")]
+    #[pyo3(signature = (positions, position, ok, time, velocity, load, current, *, goal, limit, dt, now, max_jumps, max_heat))]
+    #[expect(clippy::too_many_arguments, reason = "a reading, and the command that was in force")]
     fn update<'py>(
         &mut self,
         positions: &Bound<'py, PositionFilter>,
         position: &Bound<'py, PyAny>,
         ok: &Bound<'py, PyAny>,
         time: &Bound<'py, PyAny>,
+        velocity: Option<&Bound<'py, PyAny>>,
         load: Option<&Bound<'py, PyAny>>,
+        current: Option<&Bound<'py, PyAny>>,
         goal: &Bound<'py, PyAny>,
         limit: &Bound<'py, PyAny>,
         dt: f64,
@@ -107,39 +137,59 @@ impl CommandLimiter {
         max_jumps: u32,
         max_heat: f64,
     ) -> PyResult<Updated<'py>> {
-        let (py, size) = (positions.py(), self.core.size());
+        let (py, shape_of_all) = (positions.py(), [self.core.size()]);
         let mut filter = positions.try_borrow_mut()?;
-        let accepted = filter.store(position, ok, time)?;
-        if accepted.len() != size {
-            return Err(shape("position", &[accepted.len()], tuple(&[size])));
+        let accepted = filter.store(position, ok, time)?.len();
+        if accepted != self.core.size() {
+            return Err(shape("position", &[accepted], tuple(&shape_of_all)));
         }
-        let chosen = self.core.chain().iter().map(|joint| accepted[*joint]);
-        let mask: Vec<bool> = chosen.collect();
-        let shape = [size];
-        array_into("goal", goal, &shape, &mut self.goal)?;
-        array_into("limit", limit, &shape, &mut self.limit)?;
-        if let Some(load) = load {
-            array_into("load", load, &shape, &mut self.load)?;
+        array_into("goal", goal, &shape_of_all, &mut self.goal)?;
+        array_into("limit", limit, &shape_of_all, &mut self.limit)?;
+        let mut measured = [None, None, None];
+        let names = [("velocity", velocity), ("current", current), ("load", load)];
+        // The load comes last: it stays in the buffer for the heat.
+        for (slot, (name, value)) in measured.iter_mut().zip(names) {
+            if let Some(value) = value {
+                array_into(name, value, &shape_of_all, &mut self.load)?;
+                *slot = Some(self.of_chain(py, &self.load));
+            }
         }
         let filter = &filter.core;
         let mut thermal = self.thermal.bind(py).try_borrow_mut()?;
-        let load = load.map(|_| &self.load[..]);
-        self.core.update_heat(&mut thermal.core, [&self.goal, &self.limit], filter.position(), load, dt).or_raise()?;
+        let heating = load.map(|_| &self.load[..]);
+        self.core
+            .update_heat(&mut thermal.core, [&self.goal, &self.limit], filter.position(), heating, dt)
+            .or_raise()?;
         let chain = self.core.chain();
-        let (mut q, mut age, mut oldest) = ([0.0; MAX_JOINTS], [0.0; MAX_JOINTS], f64::INFINITY);
-        for (i, &joint) in chain.iter().enumerate() {
+        let (mut age, mut oldest, mut is_fresh) = ([0.0; MAX_JOINTS], f64::INFINITY, true);
+        for (age, &joint) in age.iter_mut().zip(chain) {
             let sampled = filter.time()[joint];
-            (q[i], age[i], oldest) = (filter.position()[joint], now - sampled, sampled.min(oldest));
+            (*age, oldest) = (now - sampled, sampled.min(oldest));
+            is_fresh &= filter.accepted()[joint];
         }
         let has_jumped = filter.rejected().iter().any(|rejected| *rejected >= max_jumps);
-        let n = chain.len();
+        let [velocity, current, load] = measured;
         Ok((
-            PyArray1::from_slice(py, &mask),
-            new_array(py, &[n], &q[..n]),
-            new_array(py, &[n], &age[..n]),
+            is_fresh,
+            self.of_chain(py, filter.position()),
             oldest,
             self.core.off_chain().iter().map(|joint| filter.position()[*joint]).collect(),
+            new_array(py, &[chain.len()], &age[..chain.len()]),
+            velocity,
+            load,
+            current,
             has_jumped || thermal.core.is_too_hot(max_heat),
         ))
+    }
+}
+
+impl CommandLimiter {
+    /// Returns the entries of the chain's joints in a vector of all joints (N), as an array (n,).
+    fn of_chain<'py>(&self, py: Python<'py>, values: &[f64]) -> Bound<'py, PyAny> {
+        let mut chosen = [0.0; MAX_JOINTS];
+        for (slot, joint) in chosen.iter_mut().zip(self.core.chain()) {
+            *slot = values[*joint];
+        }
+        new_array(py, &[self.core.n()], &chosen[..self.core.n()])
     }
 }

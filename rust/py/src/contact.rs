@@ -9,12 +9,12 @@ use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 
 use crate::controller::Controller;
-use crate::error::{OrRaise, config, wrong_type};
+use crate::error::{OrRaise, config, shape, wrong_type};
 use crate::extras::SECONDS;
 use crate::kinds::{Flag, Kind};
-use crate::ndarray::new_array;
+use crate::ndarray::{copy, new_array, rows};
 use crate::read::compact::joints;
-use crate::read::{number, real, set_if_some, vector};
+use crate::read::{number, numbers, real, set_if_some, vector};
 use crate::{arguments, in_use};
 
 #[doc = stub!(WrenchEstimate)]
@@ -105,10 +105,28 @@ fn keyed(axes: &Bound<'_, PyAny>) -> PyResult<[bool; MAX_AXES]> {
 }
 
 /// Reads the argument `sent`: goals [rad] and torque limits [N·m] of the `n` joints.
-fn pair(sent: &Bound<'_, PyAny>, n: usize) -> PyResult<[JointVec; 2]> {
+fn pair<T>(
+    sent: &Bound<'_, PyAny>,
+    n: usize,
+    read: impl Fn(&str, &Bound<'_, PyAny>, usize) -> PyResult<T>,
+) -> PyResult<[T; 2]> {
     let (goal, limit): (Bound<'_, PyAny>, Bound<'_, PyAny>) =
         sent.extract().map_err(|_| wrong_type("sent", "a pair (goal, torque_limit)", sent))?;
-    Ok([joints("goal", &goal, n)?, joints("torque_limit", &limit, n)?])
+    Ok([read("goal", &goal, n)?, read("torque_limit", &limit, n)?])
+}
+
+/// Reads numbers of the `n` joints at several readings, an array (T, n).
+fn series(name: &str, values: &Bound<'_, PyAny>, n: usize) -> PyResult<Vec<f64>> {
+    if let Some(count) = rows(values, &[n]) {
+        let mut out = vec![0.0; count * n];
+        if copy(values, &[count, n], &mut out) {
+            return Ok(out);
+        }
+    }
+    match numbers(name, values)? {
+        (got, values) if matches!(got[..], [_, width] if width == n) => Ok(values),
+        (got, _) => Err(shape(name, &got, format!("(T, {n})"))),
+    }
 }
 
 /// Reads thresholds [N, N·m] by axis key, e.g. `{"xyz": 8.0, "yaw": 1.0}`; `None` for axes that are not named.
@@ -212,7 +230,7 @@ impl ContactEstimator {
         let read = |name: &str, value: Option<&Bound<'_, PyAny>>| value.map(|value| joints(name, value, n)).transpose();
         let q = joints("q", q, n)?;
         let (dq, load, current) = (read("dq", dq)?, read("load", load)?, read("current", current)?);
-        let sent = sent.map(|sent| pair(sent, n)).transpose()?;
+        let sent = sent.map(|sent| pair(sent, n, joints)).transpose()?;
         let dt = dt.map(|dt| real("dt", SECONDS, dt)).transpose()?;
         let input = ContactInput {
             dt,
@@ -225,6 +243,39 @@ impl ContactEstimator {
         let Self { core, controller, .. } = &mut *own;
         let controller = in_use::shared(controller.bind(py))?;
         core.update(&controller.core, &q[..n], &input).or_raise().map(|felt| WrenchEstimate(*felt))
+    }
+
+    #[doc = stub!(ContactEstimator.update_series)]
+    #[pyo3(signature = (Q, *, dt = None, dq = None, load = None, current = None, sent = None))]
+    #[expect(clippy::too_many_arguments, reason = "keyword-only and named")]
+    #[expect(non_snake_case, reason = "`Q` holds many `q`, as documented")]
+    fn update_series(
+        slf: &Bound<'_, Self>,
+        py: Python<'_>,
+        Q: &Bound<'_, PyAny>,
+        dt: Option<&Bound<'_, PyAny>>,
+        dq: Option<&Bound<'_, PyAny>>,
+        load: Option<&Bound<'_, PyAny>>,
+        current: Option<&Bound<'_, PyAny>>,
+        sent: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<WrenchEstimate> {
+        let n = in_use::shared(slf)?.n;
+        let read = |name: &str, value: Option<&Bound<'_, PyAny>>| value.map(|value| series(name, value, n)).transpose();
+        let q = series("Q", Q, n)?;
+        let (dq, load, current) = (read("dq", dq)?, read("load", load)?, read("current", current)?);
+        let sent = sent.map(|sent| pair(sent, n, series)).transpose()?;
+        let dt = dt.map(|dt| real("dt", SECONDS, dt)).transpose()?;
+        let input = ContactInput {
+            dt,
+            dq: dq.as_deref(),
+            load: load.as_deref(),
+            current: current.as_deref(),
+            sent: sent.as_ref().map(|[goal, limit]| [&goal[..], &limit[..]]),
+        };
+        let mut own = in_use::exclusive(slf)?;
+        let Self { core, controller, .. } = &mut *own;
+        let controller = in_use::shared(controller.bind(py))?;
+        core.update_series(&controller.core, &q, &input).or_raise().map(|felt| WrenchEstimate(*felt))
     }
 
     #[doc = stub!(ContactEstimator.uncertainty_at)]

@@ -62,6 +62,12 @@ impl PositionFilter {
         new_array(py, &[self.ok.len()], self.core.time())
     }
 
+    #[doc = stub!(PositionFilter.accepted)]
+    #[getter]
+    fn accepted<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<bool>> {
+        PyArray1::from_slice(py, self.core.accepted())
+    }
+
     #[doc = stub!(PositionFilter.jumps)]
     #[getter]
     fn jumps(&self) -> u64 {
@@ -98,9 +104,14 @@ impl PositionFilter {
     }
 }
 
-/// Reads a mask (N,), an array of bool.
+/// Reads a mask (N,).
 fn read_mask(value: &Bound<'_, PyAny>, out: &mut [bool]) -> PyResult<()> {
-    let array = value.cast::<PyArray1<bool>>()?.readonly();
+    let array = if let Ok(array) = value.cast::<PyArray1<bool>>() {
+        array.readonly()
+    } else {
+        let array = value.py().import("numpy")?.call_method1("array", (value, "bool"))?;
+        array.cast_into::<PyArray1<bool>>()?.readonly()
+    };
     let mask = array.as_slice()?;
     if mask.len() != out.len() {
         return Err(shape("ok", &[mask.len()], crate::error::tuple(&[out.len()])));

@@ -198,7 +198,7 @@ impl ServoCodec {
         limit: &Bound<'py, PyAny>,
         velocity: Option<&Bound<'py, PyAny>>,
         max_speed: f64,
-    ) -> PyResult<Bound<'py, PyList>> {
+    ) -> PyResult<Bound<'py, PyTuple>> {
         let given = [("goal", Some(goal)), ("limit", Some(limit)), ("velocity", velocity)];
         for ((name, value), row) in given.into_iter().zip(&mut self.command) {
             match value {
@@ -206,16 +206,22 @@ impl ServoCodec {
                 None => row.fill(f64::INFINITY),
             }
         }
-        let rows = PyList::empty(py);
+        let registers = [(); 3].map(|()| PyList::empty(py));
+        let packets = [(); 2].map(|()| PyList::empty(py));
         for servo in servos {
             let joint = self.core.joint(servo).or_raise()?;
             let command = [0, 1, 2].map(|i: usize| self.command[i][joint]);
-            let ([goal, limit, speed], sizes) =
-                self.core.encode(servo, command, max_speed, &mut self.packets).or_raise()?;
-            let packet = |i: usize| PyBytes::new(py, self.packets[i].get(..sizes[i]).unwrap_or_default());
-            rows.append((goal, limit, speed, packet(0), packet(1)))?;
+            let (values, sizes) = self.core.encode(servo, command, max_speed, &mut self.packets).or_raise()?;
+            for (list, value) in registers.iter().zip(values) {
+                list.append(value)?;
+            }
+            for ((list, packet), size) in packets.iter().zip(&self.packets).zip(sizes) {
+                list.append(PyBytes::new(py, packet.get(..size).unwrap_or_default()))?;
+            }
         }
-        Ok(rows)
+        let [goals, limits, speeds] = registers;
+        let [first, second] = packets;
+        PyTuple::new(py, [goals, limits, speeds, first, second])
     }
 
     #[doc = stub!(ServoCodec.reading)]

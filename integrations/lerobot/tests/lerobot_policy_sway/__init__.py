@@ -1,4 +1,4 @@
-"""A policy without learning: the pan sways, one axis is soft; `write_checkpoint` saves it."""
+"""A policy without learning: the pan oscillates, one axis is soft; `write_checkpoint` saves it."""
 
 from __future__ import annotations
 
@@ -23,8 +23,10 @@ from lerobot.utils.constants import POLICY_POSTPROCESSOR_DEFAULT_NAME as POST
 from lerobot.utils.constants import POLICY_PREPROCESSOR_DEFAULT_NAME as PRE
 from torch import Tensor, nn
 
-#: Steps of one sway, and its size [°].
-PERIOD, SIZE = 60, 15.0
+#: Period of the oscillation [steps].
+PERIOD = 60
+#: Amplitude of the oscillation [°].
+SIZE = 15.0
 
 
 @PreTrainedConfig.register_subclass("sway")
@@ -56,7 +58,7 @@ class SwayConfig(PreTrainedConfig):
 
 
 class SwayPolicy(PreTrainedPolicy):
-    """Sways the first motor; all other motors go to 0."""
+    """Moves the first motor along a sine; all other motors go to 0."""
 
     config_class = SwayConfig
     name = "sway"

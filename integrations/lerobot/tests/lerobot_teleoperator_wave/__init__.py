@@ -1,4 +1,4 @@
-"""A teleoperator without hardware: sines around the pose 0."""
+"""A teleoperator without hardware, whose joint targets are sines around 0."""
 
 from __future__ import annotations
 

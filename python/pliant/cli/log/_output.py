@@ -30,13 +30,13 @@ def check_output(output: Path | None, command: str, suffixes: tuple[str, ...], h
         raise ConfigError(f"--output {output}: there is no folder {output.absolute().parent}")
 
 
-def check_data(log: Path, data: Log, file: Path, kind: str) -> None:
+def check_log_and_output(path: Path, log: Log, output: Path, kind: str) -> None:
     """Check that a log has ticks (control cycles) and that the output file can be written.
 
     Raises:
-        ConfigError: The log has no ticks; or the output file cannot be written, is the log itself,
-            or exists and is not of this kind.
+        ConfigError: The log at `path` has no ticks; or the output file cannot be written, is the
+            log itself, or exists and is not of this kind.
     """
-    check_writable(file, kind, [log])
-    if not len(data):
-        raise ConfigError(f"{log} has no ticks")
+    check_writable(output, kind, [path])
+    if not len(log):
+        raise ConfigError(f"{path} has no ticks")

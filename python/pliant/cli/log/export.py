@@ -10,7 +10,7 @@ from pliant._extras import pip
 from pliant._files import replacing
 from pliant.cli._console import print_line
 from pliant.cli._flags import File, LogFile
-from pliant.cli.log._output import check_data, check_output
+from pliant.cli.log._output import check_log_and_output, check_output
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -34,13 +34,13 @@ def run(log: LogFile, *, output: File = None, parquet: bool = False) -> None:
     check_output(output, "pliant log export", (suffix,), hint)
     data = read(log)
     file = output or log.with_suffix(suffix)
-    check_data(log, data, file, "table")
-    with replacing(file) as beside:
+    check_log_and_output(log, data, file, "table")
+    with replacing(file) as temporary:
         if parquet:
-            _parquet(beside, data)
+            _parquet(temporary, data)
         else:
             columns: dict[str, Any] = dict(data.columns)
-            np.savez_compressed(beside, **columns)
+            np.savez_compressed(temporary, **columns)
     print_line(str(file))
 
 

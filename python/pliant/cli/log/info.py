@@ -47,9 +47,9 @@ def _lines(path: Path, log: Log) -> list[str]:
     if log.missing:
         lines.append(f"{log.missing} calls of the controller are missing from the log")
     if len(log):
-        late = 1e3 * np.diff(log.time)
-        middle, longest = np.median(late), late.max() if late.size else 0.0
-        lines.append(f"from tick to tick {middle:.1f} ms (median), {longest:.1f} ms at most")
+        intervals = 1e3 * np.diff(log.time)
+        median, longest = np.median(intervals), intervals.max() if intervals.size else 0.0
+        lines.append(f"from tick to tick {median:.1f} ms (median), {longest:.1f} ms at most")
     if axes and len(log):
         worst = np.abs(log.deviation).max(axis=0)
         lines.append(

@@ -8,7 +8,7 @@ from pliant._extras import missing
 from pliant._files import replacing
 from pliant.cli._console import print_line
 from pliant.cli._flags import File, LogFile
-from pliant.cli.log._output import check_data, check_output
+from pliant.cli.log._output import check_log_and_output, check_output
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -44,9 +44,9 @@ def run(log: LogFile, *, output: File = None) -> None:
     check_output(output, "pliant log plot", SUFFIXES, "")
     data = read(log)
     file = output or log.with_suffix(".png")
-    check_data(log, data, file, "picture")
-    with replacing(file) as beside:
-        _plot(beside, data)
+    check_log_and_output(log, data, file, "picture")
+    with replacing(file) as temporary:
+        _plot(temporary, data)
     print_line(str(file))
 
 

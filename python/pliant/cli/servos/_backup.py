@@ -65,7 +65,7 @@ def load(path: Path, arm: str) -> list[RegisterChange]:
         raise  # the command line lists the existing files
     except (OSError, LookupError, RecursionError, TypeError, ValueError) as error:
         why = f"it has no {error}" if isinstance(error, KeyError) else error
-        raise ServoError(f"{path} is no backup of pliant servos setup: {why}") from error
+        raise ServoError(f"{path} is not a backup of pliant servos setup: {why}") from error
 
 
 def check(path: Path, former: Sequence[RegisterChange], specs: Sequence[ServoSpec]) -> None:
@@ -81,17 +81,17 @@ def check(path: Path, former: Sequence[RegisterChange], specs: Sequence[ServoSpe
             `pliant servos setup` writes, or occurs twice; or a value is out of range.
     """
     rows = {(spec.name, number): spec.row for spec in specs for number, _ in spec.servos}
-    strange = dict.fromkeys(f"{c.joint} (id {c.id})" for c in former if (c.joint, c.id) not in rows)
-    if strange:
-        there = ", ".join(f"{joint} (id {number})" for joint, number in rows)
+    unknown = dict.fromkeys(f"{c.joint} (id {c.id})" for c in former if (c.joint, c.id) not in rows)
+    if unknown:
+        configured = ", ".join(f"{joint} (id {number})" for joint, number in rows)
         raise ConfigError(
-            f"{path} has values of {', '.join(strange)}, which the configuration does not have; "
-            f"it has {there}. Nothing was written"
+            f"{path} has values of {', '.join(unknown)}, which the configuration does not have; "
+            f"it has {configured}. Nothing was written"
         )
     checked = set()
     for change in former:
         row, where = rows[change.joint, change.id], f"{path}: {change.joint} (id {change.id})"
-        # Servos that are in no table have the name of a model, but another model number.
+        # A servo that is not in the servo table has the name of a model, but another model number.
         is_named = change.model in {"", row.name}
         if not is_named and get_model(change.model).model_number != row.model_number:
             raise ConfigError(
@@ -101,7 +101,7 @@ def check(path: Path, former: Sequence[RegisterChange], specs: Sequence[ServoSpe
         known = [name for name in SETUP_REGISTERS if name in row.family.registers]
         if change.register not in known:
             raise ConfigError(
-                f"{where}: {change.register!r} is no register that setup writes on {row.name}; "
+                f"{where}: {change.register!r} is not a register that setup writes on {row.name}; "
                 f"those are {', '.join(known)}. Nothing was written"
             )
         highest = 256 ** row.family.registers[change.register].size - 1

@@ -38,7 +38,7 @@ class JointMonitor:
 
     Attributes:
         model: The robot.
-        names: Names of the joints (N), grippers included.
+        names: Names of the N joints, grippers included.
         position: Last measured angles (N,) [rad]; NaN for a joint that has never replied.
         last_motion: Sentence on the joint that moved last and on the motion to expect of the tool.
     """
@@ -143,11 +143,11 @@ def watch(config: Config, console: Console, seconds: float | None) -> None:
             first = True
             while end is None or time.monotonic() < end:
                 sample = drive.read()
-                moved = monitor.update(sample.position, sample.ok)
+                has_moved = monitor.update(sample.position, sample.ok)
                 if console.is_terminal:
                     live.update(_table(monitor), refresh=True)
                 else:
-                    _lines(console, monitor, first=first, moved=moved)
+                    _lines(console, monitor, first=first, moved=has_moved)
                 first = False
                 time.sleep(PERIOD)
     except KeyboardInterrupt:
@@ -166,17 +166,17 @@ def _end(console: Console, monitor: JointMonitor | None) -> None:
         print_line(monitor.rest, console)
 
 
-def _begin(console: Console, on: list[str]) -> None:
-    """Print instructions to the user, and the names `on` of joints whose torque is on."""
+def _begin(console: Console, enabled: list[str]) -> None:
+    """Print instructions to the user, and the names `enabled` of joints whose torque is on."""
     print_line(
         "Nothing is switched on. Hold the arm and move one joint at a time, from the base outward: "
         "as its angle grows the tool must go where its line says. If it goes the other way, change "
         "the joint's `sign` in [servo]. Ctrl-C ends, and prints the pose as a rest pose",
         console,
     )
-    if on:
+    if enabled:
         print_line(
-            f"torque is on already, so these joints cannot be moved by hand: {', '.join(on)}",
+            f"torque is on already, so these joints cannot be moved by hand: {', '.join(enabled)}",
             console,
         )
 

@@ -30,15 +30,17 @@ T = TypeVar("T")
 
 #: Standard gravity [m/s²], which converts readings of a scale.
 G = 9.80665
-#: Pushes of the session: axis, sign, cap as a share of the holding force [1], text for people.
+#: Pushes of the session: axis, sign, cap as a share of the holding force [1], direction in words.
 PUSHES = (
     ("y", 1, 0.2, "toward +y (left, seen from the base)"),
     ("y", 1, 0.4, "toward +y (left, seen from the base)"),
     ("x", -1, 0.4, "toward the base"),
 )
-#: The tool must move by at least `MIN_PUSH` in a push [m], and by `MIN_PUSH_SHARE` times the motion
-#: in which the servos build up the cap [1].
-MIN_PUSH, MIN_PUSH_SHARE = 0.02, 1.5
+#: Smallest motion of the tool in a push [m].
+MIN_PUSH = 0.02
+#: Smallest motion of the tool in a push, divided by the motion in which the servos build up the cap
+#: [1].
+MIN_PUSH_SHARE = 1.5
 #: Smallest height of the tool above a table in the pose of the session [m].
 MIN_HEIGHT = 0.15
 #: Smallest reading of the scale, and smallest mass of the weight [g].
@@ -83,7 +85,7 @@ class Session:
         self.firm = Controller(arm.model, self.settings, arm.servos)
         #: Pose of the tool (4, 4) that the arm holds between the steps.
         self.home: Array = np.eye(4)
-        self.late, self.missed, self.missing = LatenessHistogram(), 0, 0
+        self.lateness, self.missed, self.missing = LatenessHistogram(), 0, 0
         self.write_times: list[float] = []
 
     def run(self) -> None:
@@ -135,36 +137,40 @@ class Session:
     def _servos(self) -> None:
         if self._confirm("the arm swings every joint by 0.1 rad and jumps its goals, 2 to 3 min"):
             arm = self.arm
-            found = identify.identify_servos(arm, arm.model, arm.servos, loop=self._ticks())
-            self.file.add_servos(found)
+            identification = identify.identify_servos(
+                arm, arm.model, arm.servos, loop=self._ticks()
+            )
+            self.file.add_servos(identification)
 
     def _push(self) -> None:
         rows = [self._one_push(*push) for push in PUSHES if push[0] in self.settings.task.names]
         if rows := [row for row in rows if row is not None]:
             self.file.add("push", rows)
 
-    def _one_push(self, axis: str, sign: int, share: float, way: str) -> dict[str, Any] | None:
+    def _one_push(
+        self, axis: str, sign: int, share: float, direction: str
+    ) -> dict[str, Any] | None:
         """Let a person push the tool; return the values of the push, None if it was skipped."""
-        arm, q, place = self.arm, self.arm.read().q, "xyz".index(axis)
+        arm, q, index = self.arm, self.arm.read().q, "xyz".index(axis)
         axes: Mapping[Any, Axis] = self.firm.axes
         cap = share * float(axes[axis].hold or 0.0)
         soft = apply_soft(self.settings, f"{axis}={cap:.3g}", arm.model)
         controller = Controller(arm.model, soft, arm.servos)
         report, side = controller.report(q).axes[axis], max(sign, 0)
         promised = report.yield_force[side][1]
-        row = np.asarray(arm.model.jacobian(q))[place]
+        row = np.asarray(arm.model.jacobian(q))[index]
         compliance = float((row**2 / arm.servos.kp).sum())
         needed = max(MIN_PUSH, MIN_PUSH_SHARE * promised * compliance)
-        moved = [0.0]
+        peak = [0.0]
 
         def on_pose(pose: Array) -> None:
-            moved[0] = max(moved[0], sign * float(pose[place, 3] - self.home[place, 3]))
+            peak[0] = max(peak[0], sign * float(pose[index, 3] - self.home[index, 3]))
 
         def parse(line: str) -> float:
             value = grams(line, MIN_READING, MAX_READING_SHARE, report.capacity[side])
-            if moved[0] < needed:
+            if peak[0] < needed:
                 raise ConfigError(
-                    f"the tool moved by {moved[0] * 1e3:.0f} mm, needed are {needed * 1e3:.0f} mm: "
+                    f"the tool moved by {peak[0] * 1e3:.0f} mm, needed are {needed * 1e3:.0f} mm: "
                     "push farther and read again"
                 )
             return value
@@ -172,8 +178,8 @@ class Session:
         scale = self._ask(
             f"Next: the arm holds its pose and yields along {axis} from {promised:.1f} N "
             f"({promised / G * 1e3:.0f} g) on. You: hold the scale upright, set it to zero, press "
-            f"it against the tool, {way}, for {needed * 100 + 2:.0f} cm in some 4 s, read it while "
-            "the tool moves, and take it away. Reading in g, or skip:",
+            f"it against the tool, {direction}, for {needed * 100 + 2:.0f} cm in some 4 s, read it "
+            "while the tool moves, and take it away. Reading in g, or skip:",
             parse,
             controller,
             on_pose,
@@ -187,7 +193,7 @@ class Session:
             "friction_force": report.friction,
             "scale": scale,
             "measured": scale * 1e-3 * G,
-            "deviation": moved[0],
+            "deviation": peak[0],
         }
 
     def _weight(self) -> None:
@@ -227,10 +233,10 @@ class Session:
     def _loop(self) -> None:
         times = self.write_times or [np.nan]
         values = {
-            "ticks": len(self.late),
-            "late_median": self.late.percentile(50.0),
-            "late_99": self.late.percentile(99.0),
-            "late_max": self.late.largest,
+            "ticks": len(self.lateness),
+            "late_median": self.lateness.percentile(50.0),
+            "late_99": self.lateness.percentile(99.0),
+            "late_max": self.lateness.largest,
             "missed": self.missed,
             "missing": self.missing,
             "write_median": np.median(times),
@@ -243,32 +249,32 @@ class Session:
         if not self._confirm("the arm is lowered, and torque goes off", "keep things away below"):
             return
         arm, clock = self.arm, self.arm.clock
-        places, begin = [self._place()], clock.now()
+        holding, begin = self._tool_position(), clock.now()
         arm.lower()
         seconds = clock.now() - begin
-        places.append(self._place())
+        lowered = self._tool_position()
         clock.wait_until(clock.now() + WATCH_TIME)
-        places.append(self._place())
+        final = self._tool_position()
         values = {
             "seconds": seconds,
-            "distance": float(np.linalg.norm(places[1] - places[0])),
-            "drop": places[0][2] - places[1][2],
-            "drop_after_torque_off": places[1][2] - places[2][2],
+            "distance": float(np.linalg.norm(lowered - holding)),
+            "drop": holding[2] - lowered[2],
+            "drop_after_torque_off": lowered[2] - final[2],
             "via_rest_pose": arm.rest_q is not None and arm.detour is None,
         }
         self.file.add("ending", values)
 
-    def _place(self) -> Array:
+    def _tool_position(self) -> Array:
         return self.arm.model.forward_kinematics(self.arm.read().q)[:3, 3]
 
     def _ticks(self, controller: Controller | None = None) -> Iterator[Tick]:
-        """Yield the ticks of a loop, and add its lateness to that of the session."""
+        """Yield the ticks of a loop; add their lateness and misses to the totals of the session."""
         loop = Loop(self.arm, controller, rate=self.arm.rate)
         try:
             yield from loop
         finally:
-            self.late.counts += loop.lateness.counts
-            self.late.largest = max(self.late.largest, loop.lateness.largest)
+            self.lateness.counts += loop.lateness.counts
+            self.lateness.largest = max(self.lateness.largest, loop.lateness.largest)
             self.missed += loop.missed
             self.missing += loop.missing
 
@@ -326,7 +332,9 @@ def grams(line: str, low: float, share: float, capacity: float) -> float:
     try:
         value = float(line.strip().removesuffix("g"))
     except ValueError:
-        raise ConfigError(f"{line.strip()!r} is no number of grams: type digits, or skip") from None
+        raise ConfigError(
+            f"{line.strip()!r} is not a number of grams: type digits, or skip"
+        ) from None
     if not low <= value <= high:
         raise ConfigError(
             f"{value:g} g is impossible: {low:g} to {high:.0f} g here, {share:g} × the "

@@ -66,7 +66,7 @@ def run(
     if hand == "ranges":
         robot = arm_config.robot.model_copy(update={"table": None})
         arm_config = arm_config.model_copy(update={"robot": robot})
-    moved_by = None if hand is None else JointHand(_motion(hand, arm_config))
+    joint_hand = None if hand is None else JointHand(_motion(hand, arm_config))
     latency = 0.016 if timing == "usb" else 0.0
     bus_timing = Timing(wire=timing != "off", usb_latency=latency)
     console = Console()
@@ -75,7 +75,7 @@ def run(
     old_handlers = {number: signal.signal(number, _exit_on_signal) for number in END_SIGNALS}
     try:
         with make_emulator(
-            arm_config, timing=bus_timing, faults=Faults(seed=seed, lose=lose), hand=moved_by
+            arm_config, timing=bus_timing, faults=Faults(seed=seed, lose=lose), hand=joint_hand
         ) as bus:
             for name, path in bus.ports.items():
                 console.print(f"{name}: {path}", highlight=False, soft_wrap=True)
@@ -85,7 +85,7 @@ def run(
             threshold = MIN_REPORTED_LATENCY
             while end is None or time.monotonic() < end:
                 time.sleep(0.1)
-                if (lateness := bus.late) > threshold:
+                if (lateness := bus.max_latency) > threshold:
                     threshold = 2.0 * lateness  # warn again only when the lateness has doubled
                     console.print(
                         f"this computer is busy: a reply was sent {lateness * 1e3:.0f} ms late, "
@@ -122,9 +122,9 @@ def _motion(hand: str, arm_config: Config) -> Callable[[float], Mapping[str, flo
         )
 
     def forth_and_back(time: float) -> Mapping[str, float]:
-        turn, within = divmod(time, motion.duration)
-        at = within if turn % 2 == 0 else motion.duration - within
-        return start | dict(zip(motion.joints, motion.at(at).tolist(), strict=True))
+        count, phase = divmod(time, motion.duration)
+        motion_time = phase if count % 2 == 0 else motion.duration - phase
+        return start | dict(zip(motion.joints, motion.at(motion_time).tolist(), strict=True))
 
     return forth_and_back
 

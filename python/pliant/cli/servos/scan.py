@@ -29,11 +29,11 @@ def run(*, port: Device = None, baud: int | None = None, deep: bool = False) -> 
             "there is no serial port on this machine: plug the adapter in; on Linux it appears as "
             "/dev/ttyUSB0 or /dev/ttyACM0, and `lsusb` shows it"
         )
-    console, found = Console(), list[ScannedServo]()
+    console, scanned = Console(), list[ScannedServo]()
     with console.status("") as status:
         for path in ports:
             try:
-                found += scan(
+                scanned += scan(
                     path,
                     baudrates=BAUDRATES if baud is None else (baud,),
                     ids=ALL if deep else USUAL,
@@ -43,22 +43,22 @@ def run(*, port: Device = None, baud: int | None = None, deep: bool = False) -> 
                 if len(ports) == 1:
                     raise
                 print_line(f"{error}", console)
-    if not found:
+    if not scanned:
         raise ServoError(
             f"no servo answers on {', '.join(ports)}: is the servos' power on, is the cable in?"
             + ("" if deep else " `pliant servos scan --deep` asks all ids")
         )
-    _show(console, found)
+    _show(console, scanned)
 
 
-def _show(console: Console, found: list[ScannedServo]) -> None:
-    for port in dict.fromkeys(servo.port for servo in found):
+def _show(console: Console, scanned: list[ScannedServo]) -> None:
+    for port in dict.fromkeys(servo.port for servo in scanned):
         console.print(port, highlight=False, soft_wrap=True)
         table = Table(box=SIMPLE_HEAD, pad_edge=False)
         table.add_column("id", justify="right")
         for heading in ("model", "bit/s", "protocol", "note"):
             table.add_column(heading)
-        for servo in (servo for servo in found if servo.port == port):
+        for servo in (servo for servo in scanned if servo.port == port):
             speed, protocol = str(servo.baudrate), f"{servo.protocol[1]}.0"
             table.add_row(str(servo.id), _model(servo), speed, protocol, servo.note)
         console.print(table)

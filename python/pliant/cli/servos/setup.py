@@ -88,16 +88,16 @@ def run(
             backups.save(backup, arm, planned)
         for spec in specs:
             for number, _ in spec.servos:
-                own = [c for c in planned if c.joint == spec.name and c.id == number]
-                write_changes(ports[spec.port], spec.row.family, own)
+                changes = [c for c in planned if c.joint == spec.name and c.id == number]
+                write_changes(ports[spec.port], spec.row.family, changes)
     console.print(f"{len(planned)} registers written and read back")
     name = shlex.quote(arm)
-    again = " ".join(["pliant servos doctor", name, "--watch", *override.as_arguments()])
-    print_line(f"before torque on, check the directions of the joints: {again}", console)
+    check = " ".join(["pliant servos doctor", name, "--watch", *override.as_arguments()])
+    print_line(f"before torque on, check the directions of the joints: {check}", console)
     if undo is None:
         file = shlex.quote(str(backup))
-        back = " ".join(["pliant servos setup", name, "--undo", file, *override.as_arguments()])
-        print_line(f"old values in {backup}; this puts them back: {back}", console)
+        restore = " ".join(["pliant servos setup", name, "--undo", file, *override.as_arguments()])
+        print_line(f"old values in {backup}; this puts them back: {restore}", console)
 
 
 def _ids(text: str) -> tuple[int, int]:
@@ -121,8 +121,8 @@ def _assign_id(
     """Change the id of the only connected servo from `old` to `new`, after a prompt."""
     owners = [spec for spec in specs if new in dict(spec.servos)]
     if len(owners) != 1:
-        there = ", ".join(f"{n} ({spec.name})" for spec in specs for n, _ in spec.servos)
-        raise ConfigError(f"--set-id: id {new} is not that of one joint; there are {there}")
+        known = ", ".join(f"{n} ({spec.name})" for spec in specs for n, _ in spec.servos)
+        raise ConfigError(f"--set-id: id {new} is not that of one joint; there are {known}")
     (spec,) = owners
     with _Ports(arm_config, specs) as ports:
         io = ports[spec.port]

@@ -27,8 +27,8 @@ class Register:
     Attributes:
         address: Address of the first byte.
         size: Number of bytes: 1, 2 or 4.
-        sign: Coding of the sign: `unsigned`; `twos`: two's complement; `bit10` to `bit15`:
-            magnitude, and sign in that bit.
+        sign: Coding of the sign: `unsigned`; `twos`: two's complement; `bit10` to `bit15`: sign and
+            magnitude, with the sign in that bit.
     """
 
     address: int
@@ -49,8 +49,8 @@ class Register:
         if self.sign in {"unsigned", "twos"}:
             return value
         bit = 1 << int(self.sign[3:])
-        size = value & (bit - 1)
-        return -size if value & bit else size
+        magnitude = value & (bit - 1)
+        return -magnitude if value & bit else magnitude
 
 
 class Block(NamedTuple):
@@ -65,10 +65,10 @@ class Block(NamedTuple):
     size: int
 
 
-#: Registers of a reading, and those of a command, in the order of `pliant._core.ServoCodec`.
+#: Registers of a reading and of a command, in the order that `pliant._core.ServoCodec` expects.
 READING_REGISTERS = ("position", "speed", "load", "current", "voltage", "temperature")
 COMMAND_REGISTERS = ("goal", "limit", "speed_cap")
-#: Registers of readings and status, and those that are written every cycle.
+#: Registers of readings and of the status, and registers that are written every cycle.
 CYCLIC_REGISTERS = frozenset(
     (
         *READING_REGISTERS,
@@ -84,10 +84,10 @@ class Layout:
 
     Args:
         block: The block.
-        registers: Registers by name; those that the block does not contain entirely are ignored.
+        registers: Registers by name; a register that is not entirely in the block is ignored.
 
     Attributes:
-        has_status: True if the block has other registers than those of a reading.
+        has_status: True if the block contains a register that is not in `READING_REGISTERS`.
     """
 
     def __init__(self, block: Block, registers: Mapping[str, Register]) -> None:
@@ -101,15 +101,17 @@ class Layout:
         self.has_status = not set(READING_REGISTERS).issuperset(self._names)
         # Index and sign bit of the registers that are coded as magnitude and sign.
         self._sign_bits: list[tuple[int, int]] = []
-        code, here = "<", block.address
-        for place, (address, name) in enumerate(rows):
+        code, position = "<", block.address
+        for index, (address, name) in enumerate(rows):
             register = registers[name]
             letter = {1: "B", 2: "H", 4: "I"}[register.size]
-            code += "x" * (address - here) + (letter.lower() if register.sign == "twos" else letter)
-            here = address + register.size
+            code += "x" * (address - position) + (
+                letter.lower() if register.sign == "twos" else letter
+            )
+            position = address + register.size
             if register.sign not in {"unsigned", "twos"}:
-                self._sign_bits.append((place, 1 << int(register.sign[3:])))
-        self._format = code + "x" * (end - here)
+                self._sign_bits.append((index, 1 << int(register.sign[3:])))
+        self._format = code + "x" * (end - position)
         self._struct = Struct(self._format)
         self._zeros = (0,) * len(rows)
 
@@ -118,17 +120,17 @@ class Layout:
         return {name: value for name, value in self.__dict__.items() if name != "_struct"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Restore the layout from what was pickled."""
+        """Restore the pickled state, and make the `Struct` from its format."""
         self.__dict__.update(state)
         self._struct = Struct(self._format)
 
     def decode(self, data: bytes) -> dict[str, int]:
         """Return the values of the registers by name from the bytes of the block."""
         row = list(self._struct.unpack(data))
-        for place, bit in self._sign_bits:
-            value = row[place]
+        for index, bit in self._sign_bits:
+            value = row[index]
             if value >= bit:
-                row[place] = -(value & (bit - 1)) if value & bit else value & (bit - 1)
+                row[index] = -(value & (bit - 1)) if value & bit else value & (bit - 1)
         return dict(zip(self._names, row, strict=True))
 
     def encode(self, values: Mapping[str, int]) -> bytes:
@@ -137,14 +139,14 @@ class Layout:
         Size and sign coding of the registers must be able to hold the values.
         """
         row = list(map(values.get, self._names, self._zeros))
-        for place, bit in self._sign_bits:
-            if row[place] < 0:
-                row[place] = -row[place] | bit
+        for index, bit in self._sign_bits:
+            if row[index] < 0:
+                row[index] = -row[index] | bit
         return self._struct.pack(*row)
 
 
 def nested_blocks(inner: Block, outer: Block) -> tuple[Block, ...]:
-    """Return blocks of every length from that of `inner` to that of `outer`, the shortest first.
+    """Return blocks of all lengths from the length of `inner` to that of `outer`, shortest first.
 
     Each block contains the previous one.
     """
@@ -163,7 +165,7 @@ class Family:
         status: Encoding of the status byte, see `pliant.servo._status`.
         registers: Control table by register name.
         read: Blocks with position, speed and load, from short to long. The shortest is read; a
-            longer one if a late reply of that length may still arrive.
+            longer one while a late reply with the length of the shorter may still arrive.
         write: Register names of each packet that writes limit, speed cap and goal. There are two
             packets if these registers are not contiguous.
         sync_read: True if one request can read several servos.
@@ -202,9 +204,9 @@ class Family:
 
     def block(self, *names: str) -> Block:
         """Return the block from the first to the last of the registers `names`."""
-        found = [self.registers[name] for name in names]
-        first = min(r.address for r in found)
-        return Block(first, max(r.address + r.size for r in found) - first)
+        registers = [self.registers[name] for name in names]
+        first = min(r.address for r in registers)
+        return Block(first, max(r.address + r.size for r in registers) - first)
 
     @cached_property
     def _layouts(self) -> dict[Block, Layout]:
@@ -213,11 +215,11 @@ class Family:
 
     def layout(self, block: Block) -> Layout:
         """Return the layout of those `CYCLIC_REGISTERS` that a block contains."""
-        found = self._layouts.get(block)
-        if found is None:
+        layout = self._layouts.get(block)
+        if layout is None:
             registers = {n: r for n, r in self.registers.items() if n in CYCLIC_REGISTERS}
-            found = self._layouts[block] = Layout(block, registers)
-        return found
+            layout = self._layouts[block] = Layout(block, registers)
+        return layout
 
     @cached_property
     def status_blocks(self) -> tuple[Block, ...]:
@@ -246,8 +248,8 @@ class Family:
         if len(self.status_blocks) > 1:
             return ()
         address, size = self.status_blocks[0]
-        found = [b for b in self.read if b.address <= address and address + size <= sum(b)]
-        return (*found, *(b for b in self.read if b not in found)) if found else ()
+        matching = [b for b in self.read if b.address <= address and address + size <= sum(b)]
+        return (*matching, *(b for b in self.read if b not in matching)) if matching else ()
 
     @cached_property
     def write_blocks(self) -> tuple[Block, ...]:
@@ -275,15 +277,15 @@ class Family:
 
         The blocks contain no undefined addresses, of which Protocol 2.0 servos may reject reads.
         """
-        chosen = [self.registers[name] for name in names or self.registers]
-        found: list[Block] = []
-        for register in sorted(set(chosen), key=lambda r: r.address):
-            last = found[-1] if found else Block(-1, 0)
+        registers = [self.registers[name] for name in names or self.registers]
+        blocks: list[Block] = []
+        for register in sorted(set(registers), key=lambda r: r.address):
+            last = blocks[-1] if blocks else Block(-1, 0)
             if register.address == last.address + last.size:
-                found[-1] = Block(last.address, last.size + register.size)
+                blocks[-1] = Block(last.address, last.size + register.size)
             else:
-                found.append(Block(register.address, register.size))
-        return tuple(found)
+                blocks.append(Block(register.address, register.size))
+        return tuple(blocks)
 
     def decode(self, block: Block, data: bytes, name: str) -> int:
         """Return the value of the register `name` from the bytes `data` of a block."""

@@ -47,12 +47,12 @@ _COMMON = {
 }
 
 
-def _family(name: str, *, drive_values: Mapping[str, int | str], **own: Register) -> Family:
+def _family(name: str, *, drive_values: Mapping[str, int | str], **further: Register) -> Family:
     return Family(
         name=name,
         protocol="p1",
         status="p1",
-        registers={**_COMMON, **own},
+        registers={**_COMMON, **further},
         # Read the register Torque Limit with every reading: a servo sets it to 0 after an overload.
         read=nested_blocks(Block(34, 10), Block(0, 50)),
         write=(("goal", "speed_cap", "limit"),),
@@ -81,7 +81,7 @@ _COMPLIANCE = {
 def _compliance(punch: int) -> dict[str, int | str]:
     """Return the values of `_COMPLIANCE` while an EX or RX servo is driven.
 
-    The dead zones (margins) are those of the factory, `punch` is the minimum torque, and the
+    The dead zones (margins) have their factory values, `punch` is the minimum torque, and the
     counterclockwise slope equals the clockwise one.
     """
     return {"margin_cw": 1, "margin_ccw": 1, "slope_ccw": "gain", "punch": punch}

@@ -63,6 +63,7 @@ pub struct CommandLimiter {
     support: Vec<f64>,
     pull: Vec<f64>,
     torque: Vec<f64>,
+    speeds: Vec<f64>,
 }
 
 impl CommandLimiter {
@@ -109,6 +110,7 @@ impl CommandLimiter {
             support: zeros(),
             pull: zeros(),
             torque: zeros(),
+            speeds: zeros(),
         })
     }
 
@@ -150,7 +152,7 @@ impl CommandLimiter {
     ///
     /// # Errors
     /// [`Error::Shape`] if a slice has another length than documented; [`Error::OutOfRange`] if a goal, torque limit or
-    /// gravity torque of the chain is not finite, or a torque limit negative.
+    /// gravity torque of the chain is not finite, a torque limit negative, or a goal [unreachable](Self::unreachable).
     pub fn limit(&mut self, thermal: &ThermalModel, input: &LimiterInput<'_>) -> Result<(&[f64], &[f64])> {
         let (n, size) = (self.n(), self.size());
         for (name, got, expected) in [
@@ -175,6 +177,10 @@ impl CommandLimiter {
                 let bounds = if least < 0.0 { "(-∞, ∞)" } else { "[0, ∞) N·m" };
                 return Err(Error::out_of_range(format!("{name}[{i}]"), values[i], bounds));
             }
+        }
+        if let Some(joint) = self.unreachable(input.goal) {
+            let bound = format!("{} to {} rad by far", self.lower[joint], self.upper[joint]);
+            return Err(Error::out_of_range(format!("goal[{joint}]"), input.goal[joint], bound));
         }
         // NaN counts as 0: the limits then start from the holding torques.
         let ramp = if input.ramp > 0.0 { input.ramp.min(1.0) } else { 0.0 };
@@ -206,6 +212,25 @@ impl CommandLimiter {
             self.limits[joint] = self.reduced[joint];
         }
         Ok((&self.goals, &self.limits))
+    }
+
+    /// Extends the largest speeds of the chain's joints (n) [rad/s] to all joints (N), of which the others are not
+    /// limited.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] if the length is not n; [`Error::OutOfRange`] if a speed is negative or NaN.
+    pub fn speeds(&mut self, speed: &[f64]) -> Result<&[f64]> {
+        if speed.len() != self.n() {
+            return Err(Error::length("velocity", speed.len(), self.n()));
+        }
+        self.speeds.fill(f64::INFINITY);
+        for (&joint, &speed) in self.chain.iter().zip(speed) {
+            if !(speed >= 0.0) {
+                return Err(Error::out_of_range("velocity", speed, "[0, ∞] rad/s"));
+            }
+            self.speeds[joint] = speed;
+        }
+        Ok(&self.speeds)
     }
 
     /// Updates the heat of the servos after `dt` [s], from their torques.

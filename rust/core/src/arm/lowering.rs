@@ -77,6 +77,11 @@ const BRAKE_START: f64 = 1.1;
 const BRAKE_END: f64 = 1.5;
 /// Increase of the lead above which a joint counts as sinking [rad]; at least two encoder counts are required.
 const SINKING: f64 = 0.004;
+/// Largest increase of the torque limit of a sinking joint, as a multiple of the torque by which its servo resists the
+/// increase of its lead, and the speed from which on it applies [rad/s]. The multiple of a joint that creeps is 1: more
+/// torque would throw it if its lead is larger than its load needs.
+const SINKING_GAIN: f64 = 4.0;
+const FALLING_SPEED: f64 = 0.2;
 /// Excess of the lead below which a joint counts as unloaded [rad]; 1.5 encoder counts if that is more.
 const ZERO_LEAD: f64 = 0.003;
 /// Time for which all joints must be unloaded before the press or the descent ends, and for which the arm must stand
@@ -227,6 +232,8 @@ pub struct Lowering {
     /// 1.1 times the gravity torque plus [`torque_margin`], at the last update of the limits [N·m].
     holding_torque: JointVec,
     lead: JointVec,
+    /// |lead| at the last update of the limits [rad].
+    lead_size: JointVec,
     /// Smallest recent |lead| [rad]; it follows a larger |lead| at a distance of two [`SINKING`].
     least_lead: JointVec,
     /// Measured minus modelled lead [rad]; added to the modelled lead while no positions arrive.
@@ -305,6 +312,7 @@ impl Lowering {
             torque_limit: [0.0; MAX_JOINTS],
             holding_torque: [f64::INFINITY; MAX_JOINTS],
             lead: [0.0; MAX_JOINTS],
+            lead_size: [0.0; MAX_JOINTS],
             least_lead: [0.0; MAX_JOINTS],
             unmodelled_lead: [0.0; MAX_JOINTS],
             free_lead: [0.0; MAX_JOINTS],
@@ -339,7 +347,8 @@ impl Lowering {
         }
         lowering.lead = std::array::from_fn(|i| lowering.goal[i] - q[i]);
         lowering.free_lead = lowering.lead;
-        lowering.least_lead = lowering.lead.map(f64::abs);
+        lowering.lead_size = lowering.lead.map(f64::abs);
+        lowering.least_lead = lowering.lead_size;
         lowering.unmodelled_lead = std::array::from_fn(|i| lowering.lead[i] - modelled[i]);
         lowering.goals = History::new(0.0, &lowering.goal);
         lowering.ramp_limit = lowering.torque_limit;
@@ -606,6 +615,7 @@ impl Lowering {
 
     /// Reduces the torque limits to what lead and weight need; raises that of a sinking joint.
     fn update_limit(&mut self, dt: f64, gravity: &JointVec) {
+        let speed = self.joint_velocities();
         for i in 0..self.n {
             let (size, weight) = (self.lead[i].abs(), gravity[i].abs());
             let sinks = size > self.least_lead[i] + SINKING.max(2.0 * self.encoder_step[i]);
@@ -616,10 +626,17 @@ impl Lowering {
             let growth = (SUPPORT * weight + margin - self.holding_torque[i]).max(0.0);
             self.holding_torque[i] = SUPPORT * weight + margin;
             let change = self.max_torque[i] * dt / LIMIT_CHANGE_TIME;
+            let sunk = (size - self.lead_size[i]).max(0.0);
+            self.lead_size[i] = size;
+            // A lead that is larger than the limit allows, as from a program that ended while torque came on, would
+            // lift the joint if the limit rose. It shrinks first.
+            let is_limited = self.kp[i] * size > self.torque_limit[i];
+            let floor = (SUPPORT * weight).min(if is_limited { self.torque_limit[i] } else { f64::INFINITY });
             let limit = if sinks {
-                self.torque_limit[i] + change
+                let gain = 1.0 + (SINKING_GAIN - 1.0) * (speed[i].abs() / FALLING_SPEED).min(1.0);
+                self.torque_limit[i] + (gain * self.kp[i] * sunk).min(change)
             } else {
-                (self.torque_limit[i] + growth).min(enough).max(self.torque_limit[i] - change).max(SUPPORT * weight)
+                (self.torque_limit[i] + growth).min(enough).max(self.torque_limit[i] - change).max(floor)
             };
             self.torque_limit[i] = limit.min(self.max_torque[i]);
         }

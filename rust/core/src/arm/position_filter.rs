@@ -75,6 +75,11 @@ impl PositionFilter {
         &self.time
     }
 
+    /// Returns true for the joints whose position the last [`Self::update`] has accepted (N).
+    pub fn accepted(&self) -> &[bool] {
+        &self.accepted
+    }
+
     /// Returns the number of positions rejected so far because they were too far from the last one.
     pub fn jumps(&self) -> u64 {
         self.jumps

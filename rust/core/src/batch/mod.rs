@@ -144,7 +144,7 @@ impl<'a> Batch<'a> {
         let check = |(index, rows): (usize, &[f64])| {
             for (i, row_state) in rows.chunks_exact(row_len(n)).enumerate() {
                 let row = index * CHUNK + i;
-                let checked = self.arm(row).and_then(|_| match RowStatus::of(row_state, n) {
+                let checked = self.arm(row, false).and_then(|_| match RowStatus::of(row_state, n) {
                     RowStatus::Reset(q) => self
                         .params
                         .positions(self.model, "q", q)
@@ -168,8 +168,10 @@ impl<'a> Batch<'a> {
 
     /// Steps all arms. `make` creates the controller that a thread uses for its chunks. With it, `step` steps one arm
     /// from the row of its state and writes goal, torque limit and speed. If that fails, the command of the arm is NaN.
+    /// `is_checked` is true if [`Self::check_rows`] has found no error.
     pub(crate) fn run<A>(
         &self,
+        is_checked: bool,
         state: Option<&mut [f64]>,
         out: BatchCommand<'_>,
         make: impl Fn() -> A + Sync + Send,
@@ -184,7 +186,8 @@ impl<'a> Batch<'a> {
                 let row = index * CHUNK + i;
                 let row_state = row_state.as_deref_mut().map(|rows| &mut rows[i * row_len(n)..][..row_len(n)]);
                 let outs = [&mut *goal, &mut *limit, &mut *velocity];
-                if let Err(error) = self.arm(row).and_then(|input| step(arm, &input, row_state, outs)) {
+                let input = self.arm(row, is_checked);
+                if let Err(error) = input.and_then(|input| step(arm, &input, row_state, outs)) {
                     for out in [goal, limit, velocity] {
                         out.fill(f64::NAN);
                     }
@@ -214,22 +217,25 @@ impl<'a> Batch<'a> {
         first.result()
     }
 
-    /// Reads and checks the input of arm `row`.
-    fn arm(&self, row: usize) -> Result<ArmInput<'a>> {
+    /// Reads the input of arm `row`, and checks it unless it `is_checked`.
+    fn arm(&self, row: usize, is_checked: bool) -> Result<ArmInput<'a>> {
         let (n, model) = (self.model.n(), self.model);
         let q = &self.input.q[row * n..][..n];
+        // Checked in any case, because the check costs no more than reading.
         let q = self.params.positions(model, "q", q).map_err(|error| error.in_row("Q", row))?;
         let dq = self.input.dq.map(|dq| &dq[row * n..][..n]);
-        if let Some(dq) = dq {
-            model.joints_within("dq", dq, SPEED_BOUND).map_err(|error| error.in_row("dq", row))?;
-        }
         let of_row = |values: &'a [f64]| &values[row * MAX_AXES..][..MAX_AXES];
         let axes = RowAxes { caps: self.input.caps.map(of_row), adaptation: self.input.adaptation.map(of_row) };
-        self.params.check_row_axes(row, axes)?;
-        Ok(ArmInput { row, q, n, target: self.target(row)?, dq, axes })
+        if !is_checked {
+            if let Some(dq) = dq {
+                model.joints_within("dq", dq, SPEED_BOUND).map_err(|error| error.in_row("dq", row))?;
+            }
+            self.params.check_row_axes(row, axes)?;
+        }
+        Ok(ArmInput { row, q, n, target: self.target(row, is_checked)?, dq, axes })
     }
 
-    fn target(&self, row: usize) -> Result<Pose> {
+    fn target(&self, row: usize, is_checked: bool) -> Result<Pose> {
         let named = |of: &dyn Fn(&str) -> Result<Pose>| of("").or_else(|_| of(&format!("targets[{row}]")));
         match self.input.targets {
             Targets::One(pose) => Ok(*pose),
@@ -238,7 +244,7 @@ impl<'a> Batch<'a> {
                 let line = |i: usize| [m[4 * i], m[4 * i + 1], m[4 * i + 2], m[4 * i + 3]];
                 named(&|name| {
                     let pose = Pose::from_unchecked_rows(name, &[line(0), line(1), line(2), line(3)])?;
-                    if pose.is_invalid::<BaselineF64>(&self.params.target_region) {
+                    if !is_checked && pose.is_invalid::<BaselineF64>(&self.params.target_region) {
                         pose.check(name)?;
                         self.check_target(name, &pose)?;
                     }
@@ -248,6 +254,9 @@ impl<'a> Batch<'a> {
             Targets::Positions(values) => {
                 let p = &values[3 * row..][..3];
                 let pose = Pose { position: [p[0], p[1], p[2]], ..Pose::IDENTITY };
+                if is_checked {
+                    return Ok(pose);
+                }
                 named(&|name| self.check_target(name, &pose).map(|()| pose))
             }
         }

@@ -128,13 +128,23 @@ impl Balance<'_> {
         out
     }
 
+    /// Returns the smoothed sign of each velocity, `tanh(v/v₀)`.
+    #[inline]
+    pub(super) fn direction(&self) -> JointVec {
+        let mut out = [0.0; MAX_JOINTS];
+        for i in 0..self.joints.n {
+            out[i] = (self.velocity[i] / self.friction_speed).tanh();
+        }
+        out
+    }
+
     /// Returns the part of the residual that depends on velocities [N·m]: `τ_f tanh(v/v₀) + (d + k_v) v`.
     #[inline]
-    pub(super) fn friction_torque(&self) -> JointVec {
+    pub(super) fn friction_torque(&self, direction: &JointVec) -> JointVec {
         let (joints, v) = (self.joints, self.velocity);
         let mut out = [0.0; MAX_JOINTS];
         for i in 0..joints.n {
-            let dry = self.friction(i) * (v[i] / self.friction_speed).tanh();
+            let dry = self.friction(i) * direction[i];
             out[i] = dry + (self.damping(i) + self.own_damping(i)) * v[i];
         }
         out
@@ -158,12 +168,17 @@ impl Balance<'_> {
     /// With the relative error ε of friction: the dry friction of a joint that may be at rest is unknown within ±τ_f (1
     /// + ε); that of a joint that certainly moves, within ±ε τ_f.
     #[inline]
-    pub(super) fn friction_error(&self, errors: &ModelErrors) -> JointVec {
-        let (joints, inertial_torque) = (self.joints, self.inertial_torque());
+    pub(super) fn friction_error(
+        &self,
+        errors: &ModelErrors,
+        direction: &JointVec,
+        inertial_torque: &JointVec,
+    ) -> JointVec {
+        let joints = self.joints;
         let mut out = [0.0; MAX_JOINTS];
         for i in 0..joints.n {
             let (speed, speed_error) = (self.velocity[i].abs(), self.velocity_error[i]);
-            let estimated_sign = (speed / self.friction_speed).tanh();
+            let estimated_sign = direction[i].abs();
             let certain_sign = ((speed - speed_error).max(0.0) / self.friction_speed).tanh();
             let (moving, rest) = (self.friction(i), joints.servos.friction_at_rest(i, self.servo_torque[i]));
             let share = errors.friction * (certain_sign * moving + (1.0 - certain_sign) * rest);

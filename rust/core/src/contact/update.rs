@@ -25,15 +25,13 @@ const NOISE_SIGMAS: f64 = 3.0;
 /// The typical uncertainty uses every eighth sampled configuration of the joint space.
 const SAMPLE_STRIDE: usize = 8;
 
-/// Kinematics and gravity torques of the arm at one reading.
-struct ArmState {
+/// Kinematics of the tool at one reading.
+struct ToolState {
     /// Jacobian rows of the estimated axes, in the task frame.
     rows: Rows,
     base_from_task: [[f64; 3]; 3],
-    gravity: JointVec,
     /// Gravity torques per kg of mass at the tool [N·m/kg].
     payload: JointVec,
-    frames: JointFrames,
 }
 
 /// Motion of the joints at one reading.
@@ -59,6 +57,72 @@ impl ContactEstimator {
     /// [`Error::Shape`] or [`Error::OutOfRange`] for an invalid input, [`Error::Config`] for a current without torque
     /// constants; the estimate is then unchanged.
     pub fn update(&mut self, controller: &Controller, q: &[f64], input: &ContactInput<'_>) -> Result<&WrenchEstimate> {
+        let mut state = self.state;
+        self.process(&mut state, controller, q, input, true)?;
+        self.state = state;
+        Ok(&self.state.estimate)
+    }
+
+    /// Processes several readings, one after another, and returns the estimate of the last one.
+    ///
+    /// Gives the numbers of one [`update`](Self::update) per reading, in less time: without thresholds for events, the
+    /// wrench is computed for the last reading only. `q` and the arrays of `input` hold the numbers (n) of one reading
+    /// after another; those of `sent` are the commands before each reading.
+    ///
+    /// # Errors
+    /// Those of [`update`](Self::update), or [`Error::Shape`] if the arrays do not hold the same number of whole
+    /// readings. The estimate is then unchanged, and the stored commands are cleared.
+    pub fn update_series<'a>(
+        &mut self,
+        controller: &Controller,
+        q: &'a [f64],
+        input: &ContactInput<'a>,
+    ) -> Result<&WrenchEstimate> {
+        let n = self.joints.n;
+        let [goal, limit] = input.sent.map_or([None; 2], |sent| sent.map(Some));
+        if q.is_empty() || !q.len().is_multiple_of(n) {
+            return Err(Error::rows("Q", q.len(), n));
+        }
+        let (dq, load, current) = (input.dq, input.load, input.current);
+        for (name, array) in [("dq", dq), ("load", load), ("current", current), ("goal", goal), ("torque_limit", limit)]
+        {
+            let got = array.map_or(q.len(), <[f64]>::len);
+            if got != q.len() {
+                return Err(Error::length(name, got, q.len()));
+            }
+        }
+        let has_events = [&self.options.touch, &self.options.stop].into_iter().flatten().any(Option::is_some);
+        let last = q.len() / n - 1;
+        let mut state = self.state;
+        for (k, q) in q.chunks_exact(n).enumerate() {
+            let row = |array: Option<&'a [f64]>| array.and_then(|array| array.chunks_exact(n).nth(k));
+            let input = ContactInput {
+                dt: input.dt,
+                dq: row(dq),
+                load: row(load),
+                current: row(current),
+                sent: row(goal).zip(row(limit)).map(|(goal, limit)| [goal, limit]),
+            };
+            if let Err(error) = self.process(&mut state, controller, q, &input, has_events || k == last) {
+                self.history.count = 0;
+                return Err(error);
+            }
+        }
+        self.state = state;
+        Ok(&self.state.estimate)
+    }
+
+    /// Processes one reading: updates `state`, and stores the command. Computes tare candidate, wrench and events only
+    /// if `wants_wrench` is true. After an error `state` is invalid.
+    #[inline(never)]
+    fn process(
+        &mut self,
+        state: &mut State,
+        controller: &Controller,
+        q: &[f64],
+        input: &ContactInput<'_>,
+        wants_wrench: bool,
+    ) -> Result<()> {
         if self.joints.n != controller.model().n() {
             return Err(Error::Shape {
                 what: "controller".into(),
@@ -72,27 +136,26 @@ impl ContactEstimator {
         let measured = self.measured(controller, input)?;
         let sent = sent(controller, input)?;
 
-        let mut state = self.state;
-        let motion = self.motion(controller, &q, dq.as_ref(), dt, &mut state);
+        let motion = self.motion(controller, &q, dq.as_ref(), dt, state);
         let (torque, saturated) = match (measured, self.history.at_reading(sent.as_ref(), controller.delay(), dt)) {
             (Some(load), _) => (load, [false; MAX_JOINTS]),
             (None, Some(sent)) => self.joints.servo_torque(&sent.goal, &sent.limit, &motion.middle, &motion.velocity),
             (None, None) => {
                 state.estimate = WrenchEstimate { velocity: motion.velocity, ..WrenchEstimate::empty(self.joints.n) };
                 self.history.push(sent.as_ref());
-                self.state = state;
-                return Ok(&self.state.estimate);
+                return Ok(());
             }
         };
-        let arm = self.arm_state(controller, &q);
+        let mut frames = JointFrames::default();
+        let gravity = gravity(controller, &q, &mut frames);
         let mut mass = [[0.0; MAX_JOINTS]; MAX_JOINTS];
-        controller.model().chain().mass_matrix(&arm.frames, &controller.masses, &mut mass);
+        controller.model().chain().mass_matrix(&frames, &controller.masses, &mut mass);
         let balance = Balance {
             joints: &self.joints,
             servo_torque: &torque,
             measured: measured.is_some(),
             saturated: &saturated,
-            gravity: &arm.gravity,
+            gravity: &gravity,
             mass: &mass,
             velocity: &motion.velocity,
             velocity_error: &motion.velocity_error,
@@ -104,9 +167,10 @@ impl ContactEstimator {
             servo_torque: if measured.is_some() { self.options.load_error } else { self.errors.servo_torque },
             ..self.errors
         };
-        let resistance = balance.friction_error(&errors);
-        let (static_part, friction) = (balance.static_residual(), balance.friction_torque());
-        let static_uncertainty = self.static_uncertainty(&errors, &resistance, &torque, &arm.gravity);
+        let (direction, inertial_torque) = (balance.direction(), balance.inertial_torque());
+        let resistance = balance.friction_error(&errors, &direction, &inertial_torque);
+        let (static_part, friction) = (balance.static_residual(), balance.friction_torque(&direction));
+        let static_uncertainty = self.static_uncertainty(&errors, &resistance, &torque, &gravity);
         // Filtered velocities lag behind positions. Delay the terms without velocity equally, so that all refer to the
         // same time.
         let lag_share = if state.filters_ready && dq.is_none() {
@@ -126,18 +190,22 @@ impl ContactEstimator {
                 static_uncertainty[i] + self.joints.max_torque[i]
             };
         }
-        // The acceleration is low-passed already: (velocity − low-passed velocity) / time constant.
-        let inertial_torque = balance.inertial_torque();
-        (0..self.joints.n).for_each(|i| state.residual[i] = state.low_passed[i] + inertial_torque[i]);
         state.filters_ready = true;
+        if !wants_wrench {
+            self.history.push(sent.as_ref());
+            return Ok(());
+        }
+        let tool = self.tool_state(controller, &frames);
+        // The acceleration is low-passed already: (velocity − low-passed velocity) / time constant.
+        (0..self.joints.n).for_each(|i| state.residual[i] = state.low_passed[i] + inertial_torque[i]);
         state.tare_candidate = Tare {
             residual: state.residual,
             servo_torque: torque,
-            gravity: arm.gravity,
+            gravity,
             friction_bound: resistance,
-            payload: arm.payload,
+            payload: tool.payload,
         };
-        let mut estimate = self.wrench(&arm, &state.residual, &state.uncertainty, &balance);
+        let mut estimate = self.wrench(&tool, &state.residual, &state.uncertainty, &balance);
         (estimate.torque, estimate.velocity, estimate.saturated) = (torque, motion.velocity, saturated);
         estimate.touch = state.touch.update(&estimate.force, &estimate.uncertainty, dt);
         estimate.stop = state.stop.update(&estimate.force, &estimate.uncertainty, dt);
@@ -146,8 +214,7 @@ impl ContactEstimator {
         }
         state.estimate = estimate;
         self.history.push(sent.as_ref());
-        self.state = state;
-        Ok(&self.state.estimate)
+        Ok(())
     }
 
     /// Returns the error bound (6,) [N, N·m] of an estimate, in the task frame, for the arm at rest at `q` (n) [rad]; ∞
@@ -209,14 +276,15 @@ impl ContactEstimator {
     }
 
     fn at_rest(&self, controller: &Controller, q: &JointVec) -> AxisVec {
-        let (arm, zero) = (self.arm_state(controller, q), [0.0; MAX_JOINTS]);
+        let (zero, mut frames) = ([0.0; MAX_JOINTS], JointFrames::default());
+        let gravity = gravity(controller, q, &mut frames);
         let mass = [[0.0; MAX_JOINTS]; MAX_JOINTS];
         let balance = Balance {
             joints: &self.joints,
-            servo_torque: &arm.gravity,
+            servo_torque: &gravity,
             measured: false,
             saturated: &[false; MAX_JOINTS],
-            gravity: &arm.gravity,
+            gravity: &gravity,
             mass: &mass,
             velocity: &zero,
             velocity_error: &zero,
@@ -224,9 +292,9 @@ impl ContactEstimator {
             noise: &Noise { reading: self.reading_noise(controller.settings().rate.recip()), ..Noise::default() },
             friction_speed: controller.settings().paper_options.friction_speed,
         };
-        let resistance = balance.friction_error(&self.errors);
-        let static_uncertainty = self.static_uncertainty(&self.errors, &resistance, &arm.gravity, &arm.gravity);
-        self.wrench(&arm, &zero, &static_uncertainty, &balance).uncertainty
+        let resistance = balance.friction_error(&self.errors, &zero, &zero);
+        let static_uncertainty = self.static_uncertainty(&self.errors, &resistance, &gravity, &gravity);
+        self.wrench(&self.tool_state(controller, &frames), &zero, &static_uncertainty, &balance).uncertainty
     }
 
     /// Returns the servo torques [N·m] from a measured load or current; `None` if neither is given.
@@ -293,14 +361,10 @@ impl ContactEstimator {
         self.joints.encoder_step.map(|step| passed * step)
     }
 
-    fn arm_state(&self, controller: &Controller, q: &JointVec) -> ArmState {
-        let chain = controller.model().chain();
-        let mut frames = JointFrames::default();
+    fn tool_state(&self, controller: &Controller, frames: &JointFrames) -> ToolState {
         let mut j_base = [[0.0; MAX_JOINTS]; MAX_AXES];
-        let (mut gravity, mut payload) = ([0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
-        chain.forward(q, &mut frames);
-        chain.jacobian(&frames, &mut j_base);
-        chain.gravity(&frames, &controller.masses, controller.gravity, &mut gravity);
+        let mut payload = [0.0; MAX_JOINTS];
+        controller.model().chain().jacobian(frames, &mut j_base);
         let base_from_task = controller.params.base_from_task(&frames.tool);
         for (row, g) in j_base.iter().zip(controller.gravity) {
             for i in 0..self.joints.n {
@@ -308,7 +372,7 @@ impl ContactEstimator {
             }
         }
         let rows = crate::kinematics::task_rows(&j_base, &base_from_task, &self.axes);
-        ArmState { rows, base_from_task, gravity, payload, frames }
+        ToolState { rows, base_from_task, payload }
     }
 
     /// Returns the bound [N·m] on the error of the residual torques, without noise and unknown payload. Errors of servo
@@ -332,7 +396,7 @@ impl ContactEstimator {
     /// Computes the wrench and its error bound, in task and base axes, from the residual minus that of the tare.
     fn wrench(
         &self,
-        arm: &ArmState,
+        tool: &ToolState,
         residual: &JointVec,
         uncertainty: &JointVec,
         balance: &Balance<'_>,
@@ -341,7 +405,7 @@ impl ContactEstimator {
         let (mut external, mut payload) = ([0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
         for i in 0..n {
             external[i] = residual[i] - self.tare.residual[i];
-            payload[i] = self.options.payload_error * (arm.payload[i] - self.tare.payload[i]);
+            payload[i] = self.options.payload_error * (tool.payload[i] - self.tare.payload[i]);
         }
         // Systematic errors add up linearly (worst case), standard deviations of independent noise by squares.
         let (noise, shared) = (balance.own_noise(), balance.shared_noise());
@@ -349,7 +413,7 @@ impl ContactEstimator {
         for i in 0..n {
             total[i] += NOISE_SIGMAS * (noise[i] * noise[i] + shared[i].iter().map(|x| x * x).sum::<f64>()).sqrt();
         }
-        let estimator = Estimator::new(&arm.rows, &total, &self.max_wrench, k, n);
+        let estimator = Estimator::new(&tool.rows, &total, &self.max_wrench, k, n);
         let (force, mut bound) = (estimator.apply(&external), estimator.bound(uncertainty));
         bound
             .iter_mut()
@@ -372,7 +436,7 @@ impl ContactEstimator {
             let (block, row) = (axis / 3 * 3, axis % 3);
             out.uncertainty_base[axis] = 0.0;
             for column in 0..3 {
-                let turn = arm.base_from_task[row][column];
+                let turn = tool.base_from_task[row][column];
                 if turn.abs() > 1e-12 {
                     out.force_base[axis] += turn * out.force[block + column];
                     out.uncertainty_base[axis] += turn.abs() * out.uncertainty[block + column];
@@ -404,6 +468,15 @@ impl History {
             self.count = (self.count + 1).min(HISTORY);
         }
     }
+}
+
+/// Returns the gravity torques [N·m] of the arm at `q` [rad], and computes its frames.
+fn gravity(controller: &Controller, q: &JointVec, frames: &mut JointFrames) -> JointVec {
+    let chain = controller.model().chain();
+    let mut gravity = [0.0; MAX_JOINTS];
+    chain.forward(q, frames);
+    chain.gravity(frames, &controller.masses, controller.gravity, &mut gravity);
+    gravity
 }
 
 /// Returns the command last sent: that of the input if given, else the controller's last command; `None` before its

@@ -170,13 +170,14 @@ impl Controller {
                     };
                     arm.step_row(one, input.dt, out)
                 };
-                free.batch(input).run(None, out, || free.without_payload_ramp(), step)
+                free.batch(input).run(false, None, out, || free.without_payload_ramp(), step)
             }
             Some(state) => {
                 let changed = state.settings.as_deref().is_some_and(|before| before != self.settings());
                 let (n, batch) = (self.params.n, self.batch(input));
                 let rows = state.rows_of(n, count)?;
-                if input.invalid == OnInvalid::Error {
+                let is_checked = input.invalid == OnInvalid::Error;
+                if is_checked {
                     batch.check_rows(rows)?;
                 }
                 let step = |arm: &mut Self, one: &ArmInput<'_>, row_state: Option<&mut [f64]>, out: [&mut [f64]; 3]| {
@@ -193,7 +194,7 @@ impl Controller {
                     arm.state.write_to(n, row_state);
                     Ok(())
                 };
-                batch.run(Some(rows), out, || self.without_payload_ramp(), step)?;
+                batch.run(is_checked, Some(rows), out, || self.without_payload_ramp(), step)?;
                 if changed || state.settings.is_none() {
                     state.settings = Some(Box::new(self.settings().clone()));
                 }
