@@ -3237,7 +3237,7 @@ class CommandLimiter:
             ok: Mask (N,) of the positions that were read.
             time: Sample times [s]: (N,), or one number for all.
             velocity: Measured velocities (N,) [rad/s], or None.
-            load: Measured torques (N,) [N m], or None. Where they are not finite, and for None, the
+            load: Measured torques (N,) [N m]. For entries that are not finite, and for None, the
                 torque is estimated as ``min(k_p |goal - position|, limit)``.
             current: Measured currents (N,) [A], or None.
             goal: Goals in the servos (N,) [rad].
@@ -3250,9 +3250,9 @@ class CommandLimiter:
         Returns:
             Nine values: True if the positions of all joints of the chain are new; plausible
             positions of the chain (n,) [rad]; sample time of the oldest of them [s]; positions of
-            the joints off the chain (N - n) [rad]; of the chain, ages of the positions (n,) [s],
-            velocities, torques and currents (n,), each None if the argument is; True if a joint is
-            faulty or a servo is too hot.
+            the joints off the chain (N - n) [rad]; ages of the positions of the chain (n,) [s];
+            velocities, torques and currents of the chain (n,), each None if its argument is None;
+            True if a joint is faulty or a servo is too hot.
 
         Raises:
             ShapeError: An array has another shape.

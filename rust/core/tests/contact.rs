@@ -362,13 +362,13 @@ fn a_series_has_the_numbers_of_its_readings_one_by_one() {
             let mut single = ContactEstimator::new(&ctl, options.clone()).unwrap();
             let mut several = single.clone();
             for k in 0..count {
-                let of = ContactInput {
+                let one_reading = ContactInput {
                     dq: row(input.dq, k),
                     load: row(input.load, k),
                     sent: input.sent.map(|sent| sent.map(|array| &array[k * 7..][..7])),
                     ..input
                 };
-                single.update(&ctl, &q[k * 7..][..7], &of).unwrap();
+                single.update(&ctl, &q[k * 7..][..7], &one_reading).unwrap();
             }
             assert_eq!(several.update_series(&ctl, &q, &input).unwrap(), single.estimate());
             single.tare().unwrap();

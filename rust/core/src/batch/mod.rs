@@ -168,7 +168,7 @@ impl<'a> Batch<'a> {
 
     /// Steps all arms. `make` creates the controller that a thread uses for its chunks. With it, `step` steps one arm
     /// from the row of its state and writes goal, torque limit and speed. If that fails, the command of the arm is NaN.
-    /// `is_checked`: [`Self::check_rows`] has found no error.
+    /// `is_checked` is true if [`Self::check_rows`] has found no error.
     pub(crate) fn run<A>(
         &self,
         is_checked: bool,
