@@ -105,7 +105,7 @@ def test_a_recording_outlives_ctrl_c(command, tmp_path):
         "recorded and (recorded.append(1), "
         "len(recorded) == 300 and os.kill(os.getpid(), signal.SIGINT))"
     )
-    code, _, result = command("teach", str(file), "--scripted-hand", each=statement, backend="sim")
+    code, _, result = command("teach", str(file), "--scripted-hand", statement=statement, backend="sim")
     assert code == 130, result.stderr
     motion = Motion.load(file)
     assert 0.5 < motion.duration < 4.0
@@ -116,7 +116,7 @@ def test_a_recording_outlives_ctrl_c(command, tmp_path):
 @pytest.mark.parametrize(("name", "code"), [("SIGINT", 130), ("SIGTERM", 143), ("SIGHUP", 129)])
 def test_a_run_that_a_signal_ends_has_its_summary_and_code(command, name, code):
     statement = f"if tick.index == 20: os.kill(os.getpid(), signal.{name})"
-    exit_code, _, result = command("run", each=statement, backend="sim")
+    exit_code, _, result = command("run", statement=statement, backend="sim")
     assert exit_code == code, result.stderr
     assert "ticks, late by" in result.stdout
     assert "torque ON" in result.stderr

@@ -59,6 +59,7 @@ def test_a_timeout_is_generous_but_bounded():
 def test_a_cycle_keeps_the_wire_busy_for_as_long_as_worked_out(emulated, enabled, kind, cycle):
     with emulated(kind, 3, clock="steps", timing=Timing(wire=True)) as (bus, servo_bus):
         limit = enabled(servo_bus)
+        servo_bus.read()  # Some readings contain the status of the servos.
         bus.log.clear()
         servo_bus.read()
         servo_bus.write(np.zeros(3), limit)
