@@ -105,7 +105,9 @@ def test_a_recording_outlives_ctrl_c(command, tmp_path):
         "recorded and (recorded.append(1), "
         "len(recorded) == 300 and os.kill(os.getpid(), signal.SIGINT))"
     )
-    code, _, result = command("teach", str(file), "--scripted-hand", statement=statement, backend="sim")
+    code, _, result = command(
+        "teach", str(file), "--scripted-hand", statement=statement, backend="sim"
+    )
     assert code == 130, result.stderr
     motion = Motion.load(file)
     assert 0.5 < motion.duration < 4.0
