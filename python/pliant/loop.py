@@ -399,7 +399,9 @@ class Loop:
                     )
             else:
                 self.missing += 1
-                self._wait_no_longer_than(state, arm.comm_timeout)
+                # A pause before the loop is not a silence of the joints.
+                ages = np.minimum(state.age, now - begin)
+                self._wait_no_longer_than(ages, arm.comm_timeout)
                 # Exclude this time from the command timeout: without a tick there is no command.
                 commanded += now - before
             before = now
@@ -410,17 +412,17 @@ class Loop:
                 self.missed += skipped
                 deadline += skipped * self.period
 
-    def _wait_no_longer_than(self, state: State, longest: float) -> None:
-        """Raise `ServoTimeoutError` if a joint had no new position for more than `longest` [s]."""
-        if state.age.max() > longest:
-            names = [
-                name
-                for name, age in zip(self._arm.model.joint_names, state.age, strict=True)
-                if age > longest
-            ]
-            joints = "any joint" if len(names) == state.q.size else ", ".join(names)
+    def _wait_no_longer_than(self, ages: Array, longest: float) -> None:
+        """Raise `ServoTimeoutError` if a position is older than `longest` [s].
+
+        `ages` are those of the positions (n,) [s].
+        """
+        if ages.max() > longest:
+            joints = self._arm.model.joint_names
+            names = [name for name, age in zip(joints, ages, strict=True) if age > longest]
+            silent = "any joint" if len(names) == len(joints) else ", ".join(names)
             raise ServoTimeoutError(
-                f"no position of {joints} for {state.age.max():.2f} s: look at the cable to it, at "
+                f"no position of {silent} for {ages.max():.2f} s: look at the cable to it, at "
                 "those before it, and at its power"
             )
 

@@ -265,3 +265,27 @@ def test_a_real_time_priority_lasts_as_long_as_the_loop(monkeypatch):
             with pytest.raises(pliant.ConfigError, match=r"from 1 to 99, or None, got"):
                 pliant.Loop(arm, realtime_priority=priority)
         arm.disable_torque()
+
+
+def test_a_pause_before_the_loop_is_not_a_silence(make):
+    with make() as arm:
+        arm.clock.wait_until(arm.clock.now() + 3.0)
+        silent_until = arm.clock.now() + 0.2
+        read = arm.drive.read
+
+        def silent():
+            arm.drive.silent = set(arm.drive.names) if arm.clock.now() < silent_until else set()
+            return read()
+
+        arm.drive.read = silent
+
+        def skip_ticks():
+            loop = pliant.Loop(arm, duration=1.0)
+            for tick in loop:
+                tick.skip()
+            return loop
+
+        assert skip_ticks().missing > 10
+        silent_until = arm.clock.now() + 1.0
+        with pytest.raises(pliant.ServoTimeoutError, match=r"no position of any joint for 0\.5"):
+            skip_ticks()
