@@ -11,6 +11,7 @@ import itertools
 import os
 import random
 import signal
+import sys
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import SimpleNamespace
@@ -49,6 +50,14 @@ PROGRAM_LIMIT, DESCENT_LIMIT = 0.123, 0.05
 #: Duration of a descent [periods].
 HEIGHT = 3
 INT, TERM, HUP = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
+
+
+@pytest.fixture(autouse=True)
+def switch_interval():
+    """Restore the interpreter's switch interval: plans abandon threads that have changed it."""
+    interval = sys.getswitchinterval()
+    yield
+    sys.setswitchinterval(interval)
 
 
 class Servos:
