@@ -62,7 +62,7 @@ MAX_SPEED, MAX_FALL = 0.2, 0.1
 #: Registers whose values may differ after a run: servos change them, or no program restores them.
 CHANGING = (
     *("present", "moving", "status", "goal_position", "torque_enable", "realtime_tick"),
-    *("position_trajectory", "velocity_trajectory", "hardware_error_status"),
+    *("position_trajectory", "velocity_trajectory"),
 )
 #: Reply timeout of the programs [s]; the emulator shares the computer with them.
 REPLY_TIMEOUT = 0.05

@@ -8,6 +8,7 @@ from math import inf
 from typing import TYPE_CHECKING, NamedTuple
 
 from pliant._core import ServoError, ServoFaultError
+from pliant.servo._device import TRIPPED
 from pliant.servo._handshake import RegisterImage, read_image
 from pliant.servo._port import write_groups
 from pliant.servo._status import refusal
@@ -343,7 +344,7 @@ def _check_state(device: Device, ports: Ports, goal: Sequence[float]) -> Registe
 
 def _has_tripped(device: Device, images: Mapping[int, RegisterImage]) -> bool:
     image = images[id(device)]
-    return "watchdog" in image and image["watchdog"] == 255
+    return "watchdog" in image and image["watchdog"] == TRIPPED
 
 
 def _check_still(device: Device, before: RegisterImage, image: RegisterImage) -> None:
