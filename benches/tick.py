@@ -86,6 +86,7 @@ CALLS = {
     "sync_read": "sync_read_raw_data_with_error",
     "sync_decode": "sync_read_raw_data_with_error",
     "sync_write": "sync_write_raw_data",
+    "sync_encode": "sync_write_raw_data",
     "write": "write_raw_data_with_error",
 }
 
@@ -418,6 +419,12 @@ def bare(call: Callable[..., Any], args: tuple[Any, ...]) -> Any:
         "sync_read": lambda ids, address, size: (list(ids), address, size),
         "sync_decode": lambda ids, block, *_: (list(ids), *block),
         "sync_write": lambda ids, address, data: (list(ids), address, [list(row) for row in data]),
+        # Families with a codec write one block.
+        "sync_encode": lambda ids, blocks, codec, servos, command: (
+            list(ids),
+            blocks[0].address,
+            [list(row) for row in codec.encode(servos, *command)[3]],
+        ),
     }.get(call.__name__, lambda *rest: rest)
     return getattr(transport._io, CALLS[call.__name__]), convert(*args)
 
@@ -483,7 +490,11 @@ def vendor(name: str, requests: Requests, rounds: int) -> Sum | None:
         for call, args in requests
         if call.__name__ in {"sync_read", "sync_decode"}
     )
-    ids, start, data = next(args for call, args in requests if call.__name__ == "sync_write")
+    ids, start, data = next(
+        bare(call, args)[1]
+        for call, args in requests
+        if call.__name__ in {"sync_write", "sync_encode"}
+    )
     total = Sum()
     with EmulatorProcess(make_emulator, config.load(name)) as emulator:
         port, packets = module.PortHandler(emulator.port), module.PacketHandler(protocol)

@@ -2769,7 +2769,7 @@ if sys.platform != "win32":
     ) -> list[tuple[bytes, int]] | bytes:
         """Send a request of Protocol 1.0 and return the replies; releases the interpreter lock.
 
-        Bytes received before the request are discarded.
+        Bytes received before a request with replies are discarded.
 
         Args:
             descriptor: File descriptor of the serial port.
@@ -2785,7 +2785,8 @@ if sys.platform != "win32":
 
         Raises:
             OSError: The port has vanished.
-            ValueError: The request is longer than the protocol allows.
+            ValueError: The request is longer than the protocol allows, or data do not have the
+                size of the block.
         """
 
 #: Ratio of the torque limit to the gravity torque of an arm that is held without a controller.
@@ -3117,8 +3118,62 @@ class ServoCodec:
 
         Raises:
             ShapeError: A vector is not (n,).
-            OutOfRangeError: A number is negative or not finite.
+            OutOfRangeError: A number is negative or not finite, also of a joint without a servo
+                among `servos`.
         """
+
+    if sys.platform != "win32":
+        def write(
+            self,
+            descriptor: int,
+            servos: Sequence[int],
+            ids: Sequence[int],
+            blocks: Sequence[tuple[int, int]],
+            goal: ArrayLike,
+            limit: ArrayLike,
+            velocity: ArrayLike | None,
+            max_speed: float,
+            timeout: float,
+        ) -> None:
+            """Encode a command, send a sync write of Protocol 1.0 per block, and record it.
+
+            Args:
+                descriptor: See `exchange`, as for ids and timeout.
+                servos: See `encode`, as for goal, limit, velocity and max_speed.
+                ids: Ids of the servos.
+                blocks: Address and size of each packet.
+                goal: Goals (n,) [rad].
+                limit: Torque limits (n,) [N m].
+                velocity: Largest speeds (n,) [rad/s].
+                max_speed: Upper bound of the speeds [rad/s].
+                timeout: Longest time in which the port takes no bytes [s].
+
+            Raises:
+                ShapeError, OutOfRangeError: See `encode`; nothing was sent.
+                TimeoutError, OSError: The port takes no bytes, or has vanished; nothing is
+                    recorded.
+            """
+
+    def record_sent(self, servo: int, goal: int | None, limit: int, packet: bytes) -> None:
+        """Record that a command was sent to a servo.
+
+        Args:
+            servo: Index of the servo.
+            goal: Value of the goal register; None: no goal was sent yet.
+            limit: Value of the limit register.
+            packet: Bytes written to the first block of registers; empty if unknown.
+
+        Raises:
+            ShapeError: The packet is longer than 32 bytes.
+        """
+
+    def sent(self, servo: int) -> tuple[int | None, int, int, bytes]:
+        """Return the last command that was sent to a servo.
+
+        Goal and limit register as in `record_sent` (None and 0 before the first command), number of
+        commands so far, and the packet.
+        """
+
 
     def reading(self, servo: int) -> _Array:
         """Return the last accepted reading of a servo, 8 numbers; NaN for what was not read.

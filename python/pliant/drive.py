@@ -64,21 +64,19 @@ class JointReadings:
 
 @dataclass(frozen=True, init=False)
 class ServoStatus:
-    """Status of one servo, read less often than positions: voltage, temperature, faults, limit.
+    """Status of one servo, read less often than positions: voltage, temperature, faults.
 
     Attributes:
         name: Joint name.
         voltage: Supply voltage at the servo [V].
         temperature: Temperature of the servo [°C].
         faults: Faults that the servo reports, one sentence each; empty if healthy.
-        limit: Torque limit stored in the servo [N·m]; None until it has been read once.
     """
 
     name: str
     voltage: float | None = None
     temperature: float | None = None
     faults: tuple[str, ...] = ()
-    limit: float | None = None
 
     def __init__(
         self,
@@ -86,12 +84,9 @@ class ServoStatus:
         voltage: float | None = None,
         temperature: float | None = None,
         faults: tuple[str, ...] = (),
-        limit: float | None = None,
     ) -> None:
         # See `JointReadings`.
-        self.__dict__.update(
-            name=name, voltage=voltage, temperature=temperature, faults=faults, limit=limit
-        )
+        self.__dict__.update(name=name, voltage=voltage, temperature=temperature, faults=faults)
 
 
 class Clock(Protocol):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+from array import array
 from bisect import bisect_right
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -13,6 +14,7 @@ from pliant._core import (
     Command,
     ConfigError,
     Model,
+    OutOfRangeError,
     ServoError,
     ServoFaultError,
     ServoTimeoutError,
@@ -50,7 +52,7 @@ AVERAGE, CHANGE, CHANGE_SHARE = 50, 5e-4, 0.1
 #: decade, number of bins.
 FIRST, PER_DECADE, BINS = 1e-6, 20, 140
 #: Lower ends of these bins, and upper end of the last [s].
-EDGES = [FIRST * 10.0 ** (i / PER_DECADE) for i in range(BINS + 1)]
+EDGES = array("d", [FIRST * 10.0 ** (i / PER_DECADE) for i in range(BINS + 1)])
 
 
 class LatenessHistogram:
@@ -311,7 +313,7 @@ class Loop:
                 f"the simulated arm runs at {1.0 / grain:g} Hz and cannot run {rate:g} "
                 f"ticks per second: connect(..., rate={rate:g})"
             )
-        self._arm, self.duration = arm, duration
+        self._arm, self._clock, self.duration = arm, arm.clock, duration
         self._stale = max(STALE_PERIODS * self.period, STALE)
         self._max_step_time = arm.comm_timeout if max_step_time is None else float(max_step_time)
         self.lateness = LatenessHistogram()
@@ -464,12 +466,12 @@ class Loop:
         self, tick: Tick, command: Commanded, extra: Mapping[str, tuple[float, float]] | None
     ) -> bool:
         """Check a command; send it and return True, or count it as rejected and return False."""
-        clock = self._arm.clock
+        arm, clock = self._arm, self._clock
         if isinstance(command, Command):
             goal, limit, speed = command.goal, command.torque_limit, command.speed_limit
         elif hasattr(command, "goal") and hasattr(command, "torque_limit"):
-            goal = vector(self._arm.model, command.goal, "goal", finite=False)
-            limit = vector(self._arm.model, command.torque_limit, "limit", finite=False)
+            goal = vector(arm.model, command.goal, "goal", finite=False)
+            limit = vector(arm.model, command.torque_limit, "limit", finite=False)
             speed = None
         else:
             raise TypeError(
@@ -477,11 +479,16 @@ class Loop:
                 f"torque_limit, got {format_value(command)}; arm.write(goal, limit) "
                 "takes bare numbers"
             )
-        old = clock.now() - tick.began > self._stale
-        if old or not all(map(math.isfinite, goal.tolist() + limit.tolist())):
+        if clock.now() - tick.began > self._stale:
             self.rejected += 1
             return False
-        self._arm.write(goal, limit, extra, lead=speed is not None, velocity=speed)
+        try:
+            arm.write(goal, limit, extra, lead=speed is not None, velocity=speed)
+        except OutOfRangeError:
+            if np.isfinite(goal).all() and np.isfinite(limit).all():
+                raise
+            self.rejected += 1
+            return False
         self._delays.append(clock.now() - tick.state.time)
         if len(self._delays) == AVERAGE:
             self._measure()

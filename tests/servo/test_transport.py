@@ -221,7 +221,10 @@ def test_status_is_read_with_the_position_where_registers_are_near(
         )
         if kind != "xm":
             assert list(seen_faults) == list(servo_bus.names)
-            limits = [status.limit for status in seen_faults.values()]
+            limits = [
+                joint[0].units.torque(servo.get("torque_limit"))
+                for joint, servo in zip(servo_bus._joints, bus.servos, strict=True)
+            ]
             assert limits == pytest.approx(limit, rel=0.05)
         assert servo_bus.counters["mismatches"] == 0
         bus.servo(2).put("torque_enable", 0)

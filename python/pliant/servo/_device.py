@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from pliant.servo.models import Family, ServoModel
     from pliant.servo.spec import ServoSpec
 
+    #: Result of `ServoCodec.sent`.
+    Sent = tuple[int | None, int, int, bytes]
+
 #: Longest undervoltage that is not reported as a fault [s].
 UNDERVOLTAGE_GRACE = 0.5
 #: Time [s] and number of write packets for which the goal or limit register must differ from the
@@ -72,9 +75,7 @@ class Device:
         torque_unknown: True if torque may be on, because the servo has not answered since a program
             ended, or has not confirmed that torque is off.
         is_unrestored: True if registers may still differ from `initial_values` after torque off.
-        goal, limit: Goal and limit register as last written; goal is None before the first write.
         voltage, temperature: Supply voltage [V] and temperature [°C] as last read.
-        limit_read: Limit register as last read.
         conditions: Errors in the status of the last reply.
         hardware: Errors in the hardware error register (Protocol 2.0).
         other_faults: Texts of faults that this program detected, not the servo itself, by topic.
@@ -108,11 +109,8 @@ class Device:
         self.alerts = 0
         self.enabled = self.torque_on = self.torque_unknown = False
         self.is_unrestored = False
-        self.goal: int | None = None
-        self.limit = 0
         self.voltage: float | None = None
         self.temperature: float | None = None
-        self.limit_read: int | None = None
         self.conditions: tuple[str, ...] = ()
         self.hardware: tuple[str, ...] = ()
         self.other_faults: dict[str, str] = {}
@@ -120,24 +118,27 @@ class Device:
         self.stored_command: tuple[int, int] | None = None
         self.drive_values: dict[str, int] = {}
         self.mismatches = 0
-        self._writes, self._packet = 0, b""
         self._read_backs = {"goal": ReadBack(), "limit": ReadBack()}
         self.has_mismatch = self.has_new_status = False
         self.tripped, self.trips, self.watchdog = False, 0, 0
         self.index = 0
         self._codec: ServoCodec | None = None
         self._last_reading = [nan, 0.0, 0.0]
+        self._last_sent: Sent = (None, 0, 0, b"")
 
     def attach(self, codec: ServoCodec, index: int) -> None:
-        """Use `codec` from now on, as its servo `index`; keep the last reading."""
+        """Use `codec` from now on, as its servo `index`; keep last reading and last command."""
         last = self._reading()[:3]
+        goal, limit, _, packet = self._sent
         self._codec, self.index = codec, index
         self.configure()
         codec.accept_any(index, *last)
+        codec.record_sent(index, goal, limit, packet)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return the state to pickle: the last reading, without the codec."""
-        return {**self.__dict__, "_codec": None, "_last_reading": self._reading()}
+        """Return the state to pickle: last reading and last command, without the codec."""
+        last = {"_last_reading": self._reading(), "_last_sent": self._sent}
+        return {**self.__dict__, "_codec": None, **last}
 
     @property
     def codec(self) -> ServoCodec:
@@ -205,6 +206,21 @@ class Device:
         """Unwrapped count of the last reading; None before the first reading."""
         position = self._reading()[0]
         return None if isnan(position) else position
+
+    @property
+    def goal(self) -> int | None:
+        """Goal register as last written; None before the first write."""
+        return self._sent[0]
+
+    @property
+    def limit(self) -> int:
+        """Limit register as last written; 0 before the first write."""
+        return self._sent[1]
+
+    @property
+    def _sent(self) -> Sent:
+        """Last command that was sent, see `ServoCodec.sent`."""
+        return self._last_sent if self._codec is None else self._codec.sent(self.index)
 
     def angle(self, position: float) -> float:
         """Return the joint angle [rad] at which this servo's position is `position` [counts]."""
@@ -278,8 +294,9 @@ class Device:
         if self.has_new_status and self.enabled and not (self.has_mismatch or self.other_faults):
             start = self.family.write_blocks[0].address - block.address
             is_on = data[self.family.registers["torque_enable"].address - block.address] == 1
-            if is_on and data[start : start + len(self._packet)] == self._packet != b"":
-                self.torque_on, self.limit_read = True, self.limit
+            packet = self._sent[-1]
+            if is_on and data[start : start + len(packet)] == packet != b"":
+                self.torque_on = True
                 for read_back in self._read_backs.values():
                     read_back.wrong, read_back.matched = 0, time
                 return
@@ -303,10 +320,9 @@ class Device:
         if "temperature" in values:
             self.temperature = float(values["temperature"])
         if "limit" in values:
-            self.limit_read = values["limit"]
             self._compare("limit", values["limit"], self.limit, time)
-        if "goal" in values and self.goal is not None:
-            self._compare("goal", values["goal"], self.goal, time)
+        if "goal" in values and (goal := self.goal) is not None:
+            self._compare("goal", values["goal"], goal, time)
         if "torque_enable" in values:
             self.torque_on, self.torque_unknown = bool(values["torque_enable"]), False
             went_off = (self.enabled or "torque" in self.other_faults) and not self.torque_on
@@ -370,13 +386,12 @@ class Device:
                 return True
         return False
 
-    def record_sent(self, goal: int, limit: int, packet: bytes = b"") -> None:
+    def record_sent(self, goal: int | None, limit: int, packet: bytes = b"") -> None:
         """Record the values of goal and limit register in a packet that was sent.
 
         `packet` contains the bytes written to the first block of registers; empty if unknown.
         """
-        self.goal, self.limit, self._packet = goal, limit, packet
-        self._writes += 1
+        self.codec.record_sent(self.index, goal, limit, packet)
 
     def _compare(self, key: str, value: int, written: int, time: float) -> None:
         """Compare a register with the written value, because a servo may reject packets silently.
@@ -393,9 +408,9 @@ class Device:
         read_back = self._read_backs[key]
         if not self.enabled or value == written:
             read_back.wrong, read_back.matched = 0, time
-        elif read_back.write != self._writes:
+        elif read_back.write != (write := self._sent[2]):
             read_back.wrong += 1
-            read_back.write = self._writes
+            read_back.write = write
             self.mismatches += 1
         self.has_mismatch = bool(self._read_backs["goal"].wrong or self._read_backs["limit"].wrong)
         is_wrong = read_back.wrong >= MISMATCHES and time - read_back.matched > MISMATCH_TIME

@@ -102,10 +102,9 @@ def enable(
         is_sent = True
         for port in dict.fromkeys(ports[id(device)] for device in devices):
             served = [device for device in devices if ports[id(device)] is port]
-            port.write(
-                (group, _encoded(group, [commands[id(device)] for device in group.devices]))
-                for group in write_groups(served)
-            )
+            for group in write_groups(served):
+                rows = [commands[id(device)] for device in group.devices]
+                port.send(group, *_encoded(group, rows))
         # From here on, few requests: the arm may already hang on servos without feedback.
         found = _images(devices, ports, *_COMMANDED, "torque_enable", "position", "speed")
         switched_by_goal: dict[Port, list[Device]] = {}
@@ -195,7 +194,6 @@ def resume(devices: Sequence[Device], ports: Ports, budget: float, patience: flo
                 continue
             device.enabled = device.torque_on = bool(image["torque_enable"])
             device.torque_unknown = False
-            device.limit = image["limit"]
             device.record_sent(image["goal"], image["limit"])
             deadline = time.monotonic() + patience
         pending = silent
@@ -220,14 +218,13 @@ class FirstCommand(NamedTuple):
 
 def _encoded(
     group: Group, commands: Sequence[FirstCommand]
-) -> tuple[list[int], list[int], list[int], list[bytes], list[bytes]]:
-    """Return registers and packets of the commands, in the format of `ServoCodec.encode`."""
-    goals, limits, speeds = map(list, zip(*commands, strict=True))
+) -> tuple[list[int], list[int], list[list[bytes]]]:
+    """Return goal registers, limit registers and packets of the commands, see `Port.send`."""
     packets = [
         [device.packet(names, *row) for device, row in zip(group.devices, commands, strict=True)]
         for names in group.family.write
     ]
-    return goals, limits, speeds, packets[0], packets[-1]
+    return [row.goal for row in commands], [row.limit for row in commands], packets
 
 
 def _write_limits(device: Device, ports: Ports, limit: int) -> None:
@@ -241,7 +238,7 @@ def _write_limits(device: Device, ports: Ports, limit: int) -> None:
     expected_values = {"limit": limit, **device.drive_values}
     for name, value in expected_values.items():
         _set(device, ports, name, value)
-    device.limit = limit
+    device.record_sent(device.goal, limit)
     image = _image(device, ports, *expected_values)
     for name, value in expected_values.items():
         if image[name] != value:
@@ -460,7 +457,7 @@ def _restore_registers(device: Device, ports: Ports) -> None:
     for name, value in device.initial_values.items():
         if image[name] != value:
             _set(device, ports, name, value)
-    device.limit = device.initial_values["limit"]
+    device.record_sent(device.goal, device.initial_values["limit"])
 
 
 def _image(device: Device, ports: Ports, *names: str) -> RegisterImage:

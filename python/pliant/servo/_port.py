@@ -14,16 +14,10 @@ from pliant.servo.transport import BusError, Decoder, RustypotTransport
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 
-    from numpy.typing import ArrayLike
-
     from pliant.servo._device import Device
     from pliant.servo.models.base import Block
     from pliant.servo.models.base import Protocol as Wire
-    from pliant.servo.transport import Transport
-
-    #: Servos of one kind, and goal, limit and speed cap registers and packets of each of them, as
-    #: `ServoCodec.encode` returns them.
-    Packets = tuple["Group", tuple[list[int], list[int], list[int], list[bytes], list[bytes]]]
+    from pliant.servo.transport import Command, Transport
 
 #: A servo that is silent for `MAX_MISSES` cycles is skipped for `PROBE_CYCLES` cycles, because it
 #: costs a timeout in each cycle in which it is read.
@@ -101,6 +95,7 @@ class Port:
         self.highest = 253 if protocol == "p1" else 252
         self.latency = latency_timer(path)
         self._io = open_transport(path, baudrate, protocol)
+        self._has_codec = getattr(self._io, "has_codec", False)
         ids = {device.id for device in self.devices}
         self.guard = TransactionGuard(
             self._io,
@@ -182,7 +177,7 @@ class Port:
             longer = len(group.ids) * (with_status[0].size - read[0].size) if with_status else 0
             if longer * BITS_PER_BYTE / self._baudrate > STATUS_SHARE * self._cycle:
                 group.read_with_status = ()
-            if getattr(self._io, "can_decode", False):
+            if self._has_codec:
                 codec, layout = group.devices[0].codec, group.family.layout
                 plain = next((block for block in read if not layout(block).has_status), None)
                 group.decoder = Decoder(codec, group.indices, self._restart, plain)
@@ -271,42 +266,48 @@ class Port:
             self._is_armed = False
         return [device.name for device in pending]
 
-    def encode(
-        self, goal: ArrayLike, limit: ArrayLike, velocity: ArrayLike | None, max_speed: float
-    ) -> list[Packets]:
-        """Return the packets for servos with torque on, one entry per kind of servo.
+    def write(self, command: Command) -> None:
+        """Send goal, limit and speed cap registers to the servos with torque on.
 
-        The arguments are those of `ServoCodec.encode`. It also checks the values for servos without
-        torque, and raises its errors for these.
+        There is one packet per kind of servo and block of registers. The values for servos without
+        torque are checked too.
+
+        Raises:
+            ShapeError, OutOfRangeError: See `ServoCodec.encode`; nothing was sent.
+            BusError: A packet could not be sent.
         """
         groups = self._write_groups
         enabled = [device for device in self.devices if device.enabled]
         if len(enabled) < len(self.devices):
             groups = write_groups(enabled)
-            rest = [device.index for device in self.devices if not device.enabled]
-            self.devices[0].codec.encode(rest, goal, limit, velocity, max_speed)
-        packets: list[Packets] = []
+            self.devices[0].codec.encode([], *command)
         for group in groups:
             codec = group.devices[0].codec
-            packets.append((group, codec.encode(group.indices, goal, limit, velocity, max_speed)))
-        return packets
+            if self._has_codec:
+                blocks = group.family.write_blocks
+                self.guard.sync_encode(group.ids, blocks, codec, group.indices, command)
+            else:
+                goals, limits, _, *data = codec.encode(group.indices, *command)
+                self.send(group, goals, limits, data)
 
-    def write(self, packets: Iterable[Packets]) -> None:
-        """Send goal, limit and speed cap registers with sync writes, one per kind of servo.
+    def send(
+        self, group: Group, goals: Sequence[int], limits: Sequence[int], data: Sequence[list[bytes]]
+    ) -> None:
+        """Send packets to servos of one kind, with one sync write per block, and record them.
 
         Args:
-            packets: Servos of one kind, with registers and packets of each.
+            group: The servos.
+            goals: Values of their goal registers.
+            limits: Values of their limit registers.
+            data: Bytes for each servo, per block of `Family.write_blocks`.
 
         Raises:
             BusError: A packet could not be sent.
         """
-        for group, (goals, limits, _, *data) in packets:
-            for block, items in zip(group.family.write_blocks, data, strict=False):
-                self.guard.sync_write(group.ids, block.address, items)
-            for device, goal, limit, packet in zip(
-                group.devices, goals, limits, data[0], strict=True
-            ):
-                device.record_sent(goal, limit, packet)
+        for block, items in zip(group.family.write_blocks, data, strict=False):
+            self.guard.sync_write(group.ids, block.address, items)
+        for device, goal, limit, packet in zip(group.devices, goals, limits, data[0], strict=True):
+            device.record_sent(goal, limit, packet)
 
     def _read_block(self, device: Device, block: Block) -> bool:
         """Read a block of registers and store its values in the device; False: no reply came."""
@@ -557,11 +558,8 @@ class StatusPoller:
     def _status(self, joint: int) -> ServoStatus:
         devices = self._joints[joint]
         first = devices[0]
-        limit = None if first.limit_read is None else first.units.torque(first.limit_read)
         if len(devices) == 1:
-            return ServoStatus(
-                first.spec.name, first.voltage, first.temperature, first.faults, limit
-            )
+            return ServoStatus(first.spec.name, first.voltage, first.temperature, first.faults)
         volts = [d.voltage for d in devices if d.voltage is not None]
         temperatures = [d.temperature for d in devices if d.temperature is not None]
         return ServoStatus(
@@ -569,5 +567,4 @@ class StatusPoller:
             min(volts) if volts else None,
             max(temperatures) if temperatures else None,
             tuple(text for d in devices for text in d.faults),
-            limit,
         )

@@ -26,9 +26,10 @@ from pliant.servo.transport import BusError
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
+    from pliant._core import ServoCodec
     from pliant.servo.models.base import Protocol
     from pliant.servo.models.base import Protocol as Wire
-    from pliant.servo.transport import Decoder, Transport
+    from pliant.servo.transport import Command, Decoder, Transport
 
 
 BITS_PER_BYTE = 10
@@ -429,6 +430,30 @@ class TransactionGuard:
         self._prepare("sync_write", len(ids), len(data[0]))
         try:
             self._io.sync_write(ids, address, data)
+        except BusError as error:
+            self._note_failure(error)
+            raise
+
+    def sync_encode(
+        self,
+        ids: Sequence[int],
+        blocks: Sequence[Block],
+        codec: ServoCodec,
+        servos: Sequence[int],
+        command: Command,
+    ) -> None:
+        """Let the transport encode and send a command; see `RustypotTransport.sync_encode`.
+
+        Raises:
+            ShapeError, OutOfRangeError: The command is invalid; nothing was sent.
+            BusError: The port is gone.
+        """
+        if self.is_gone:
+            self.check_port()
+        for block in blocks:
+            self._prepare("sync_write", len(ids), block.size)
+        try:
+            self._io.sync_encode(ids, blocks, codec, servos, command)  # type: ignore[attr-defined]
         except BusError as error:
             self._note_failure(error)
             raise

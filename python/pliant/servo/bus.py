@@ -432,9 +432,14 @@ class ServoBus:
         """
         if not self._ports:
             self._check_open()
-        speed = self._speed or 0.0
+        command = (goal, limit, velocity, self._speed or 0.0)
         try:
-            packets = [(port, port.encode(goal, limit, velocity, speed)) for port in self._ports]
+            for port in self._ports:
+                try:
+                    port.write(command)
+                except BusError:
+                    # The port counts the error, and the servos keep the values written last.
+                    continue
         except (ShapeError, OutOfRangeError):
             # Raises an error that names the joint.
             self._vector(goal, "goal")
@@ -442,12 +447,6 @@ class ServoBus:
             if velocity is not None:
                 self._vector(velocity, "velocity", unit="rad/s", unlimited=True)
             raise
-        for port, groups in packets:
-            try:
-                port.write(groups)
-            except BusError:
-                # The port counts the error, and the servos keep the values written last.
-                continue
         for port in self._ports:
             if port.guard.is_gone:
                 self._report_lost_ports()

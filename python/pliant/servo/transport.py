@@ -10,7 +10,7 @@ import os
 import sys
 import threading
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
 
 from pliant._core import ServoError
 
@@ -18,7 +18,9 @@ if sys.platform != "win32":
     from pliant._core import exchange
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
+
+    from numpy.typing import ArrayLike
 
     from pliant._core import ServoCodec
     from pliant.servo.models.base import Block
@@ -26,8 +28,10 @@ if TYPE_CHECKING:
 
     #: Bytes and status byte of each servo.
     Answers = list[tuple[bytes, int]]
+    #: Goals [rad], torque limits [N·m] and largest speeds (n,) [rad/s] of the joints, and upper bound
+    #: of the speeds [rad/s]: the last four arguments of `ServoCodec.encode`.
+    Command = tuple[ArrayLike, ArrayLike, ArrayLike | None, float]
 
-T = TypeVar("T")
 Reason = Literal["timeout", "corrupt", "stale", "refused", "late", "noisy", "gone"]
 
 
@@ -76,8 +80,9 @@ class Transport(Protocol):
 
     Data are bytes of the control table from `address` on. A status is the error byte of a reply.
 
-    Optional: a method `sync_decode` that stores the replies of a `sync_read` in a codec, see
-    `RustypotTransport`, and the attribute `can_decode`, True if it can be used.
+    Optional: methods `sync_decode` and `sync_encode`, which make a `sync_read` with decoding and
+    `sync_write` with encoding in one call of the core, see `RustypotTransport`; and the attribute
+    `has_codec`, True if they can be used.
     """
 
     def read(self, id: int, address: int, size: int) -> tuple[bytes, int]:
@@ -110,6 +115,8 @@ class Transport(Protocol):
 
 #: Protocol 1.0: instructions, and number of bytes of a reply without data.
 READ, SYNC_READ, SYNC_WRITE, OVERHEAD = 0x02, 0x82, 0x83, 6
+#: File descriptor after `close`: the system rejects it.
+CLOSED = -1
 
 
 class RustypotTransport:
@@ -184,8 +191,7 @@ class RustypotTransport:
     def sync_write(self, ids: Sequence[int], address: int, data: Sequence[bytes]) -> None:
         """Write `data[i]` to servo `ids[i]` from `address` on, in one packet without reply."""
         if self._descriptor is not None:
-            block = (address, len(data[0]))
-            self._locked(exchange, SYNC_WRITE, ids, block, list(data), self._timeout)
+            self._exchange(SYNC_WRITE, ids, (address, len(data[0])), list(data))
             return
         try:
             self._io.sync_write_raw_data(list(ids), address, [list(item) for item in data])
@@ -193,8 +199,8 @@ class RustypotTransport:
             raise self._failed(error, None) from error
 
     @property
-    def can_decode(self) -> bool:
-        """True if `sync_decode` can be used: on a port of Protocol 1.0, not on Windows."""
+    def has_codec(self) -> bool:
+        """True if `sync_decode` and `sync_encode` can be used: for Protocol 1.0, not on Windows."""
         return self._descriptor is not None
 
     def sync_decode(
@@ -208,15 +214,38 @@ class RustypotTransport:
             the size of the block.
         """
         codec, servos, longest, plain = decoder
-        found = self._locked(
-            codec.read, servos, ids, block, self._timeout, time, longest, block == plain
-        )
+        is_plain = block == plain
+        try:
+            with self._lock:
+                found = codec.read(
+                    self._descriptor, servos, ids, block, self._timeout, time, longest, is_plain
+                )
+        except OSError as error:
+            raise self._lost(error) from error
         if found is None:
             return None
         answers, notable = found
         if isinstance(answers, bytes):
             answers = self._broken(answers, ids, block[1])
         return answers, notable
+
+    def sync_encode(
+        self,
+        ids: Sequence[int],
+        blocks: Sequence[Block],
+        codec: ServoCodec,
+        servos: Sequence[int],
+        command: Command,
+    ) -> None:
+        """Encode a command, and write it to the servos with one packet per block, without reply.
+
+        `servos` are their indices in the codec, which records what was sent.
+        """
+        try:
+            with self._lock:
+                codec.write(self._descriptor, servos, ids, blocks, *command, self._timeout)
+        except OSError as error:
+            raise self._lost(error) from error
 
     def ping(self, id: int) -> bool:
         """Return True if servo `id` answers a ping within the reply timeout."""
@@ -240,35 +269,36 @@ class RustypotTransport:
     def close(self) -> None:
         """Close the serial port."""
         with self._lock:
-            self._descriptor = None
+            if self._descriptor is not None:
+                self._descriptor = CLOSED
             self._io.close()
 
-    def _exchange(self, instruction: int, ids: Sequence[int], block: tuple[int, int]) -> Answers:
-        """Make a request of Protocol 1.0 with replies; the arguments are those of `exchange`.
+    def _exchange(
+        self,
+        instruction: int,
+        ids: Sequence[int],
+        block: tuple[int, int],
+        data: list[bytes] | None = None,
+    ) -> Answers:
+        """Make a request of Protocol 1.0; the arguments are those of `exchange`.
 
         The returned list ends with the first reply that has another number of data bytes.
 
         Raises:
-            BusError: A reply is missing or corrupt, or the port is gone.
-        """
-        found = self._locked(exchange, instruction, ids, block, None, self._timeout)
-        return self._broken(found, ids, block[1]) if isinstance(found, bytes) else found
-
-    def _locked(self, call: Callable[..., T], *arguments: object) -> T:
-        """Return the result of `call(descriptor, *arguments)`, while no thread closes the port.
-
-        Raises:
-            BusError: The port is gone, or takes no bytes.
+            BusError: A reply is missing or corrupt, or the port is gone, or takes no bytes.
         """
         try:
             with self._lock:
-                if self._descriptor is None:
-                    raise self._gone("closed by another thread")
-                return call(self._descriptor, *arguments)
-        except TimeoutError as error:
-            raise BusError(f"{self.port}: the request cannot be sent", "timeout") from error
+                found = exchange(self._descriptor, instruction, ids, block, data, self._timeout)
         except OSError as error:
-            raise self._gone(str(error)) from error
+            raise self._lost(error) from error
+        return self._broken(found, ids, block[1]) if isinstance(found, bytes) else found
+
+    def _lost(self, error: OSError) -> BusError:
+        """Return the `BusError` for an error of the core."""
+        if isinstance(error, TimeoutError):
+            return BusError(f"{self.port}: the request cannot be sent", "timeout")
+        return self._gone("closed by another thread" if self._descriptor == CLOSED else str(error))
 
     def _broken(self, found: bytes, ids: Sequence[int], size: int) -> Answers:
         """Return the replies among bytes that are not one valid reply of this size from each servo.

@@ -1,6 +1,7 @@
 //! Requests of Protocol 1.0 to the servos on a serial port, without the interpreter lock.
 #![expect(unsafe_code, reason = "a descriptor that Python owns is borrowed for one call")]
 
+use std::num::TryFromIntError;
 use std::os::fd::BorrowedFd;
 use std::time::{Duration, Instant};
 
@@ -22,6 +23,7 @@ const OVERHEAD: usize = 6;
 /// Instructions of Protocol 1.0, and the id that addresses all servos.
 const READ: u8 = 0x02;
 pub(crate) const SYNC_READ: u8 = 0x82;
+const SYNC_WRITE: u8 = 0x83;
 const BROADCAST: u8 = 0xfe;
 
 /// Bytes that servos have sent in reply to a request.
@@ -61,54 +63,80 @@ pub(crate) fn exchange<'py>(
     descriptor: i32,
     instruction: u8,
     ids: Vec<usize>,
-    block: Vec<usize>,
-    data: Option<&Bound<'py, PyList>>,
+    block: [usize; 2],
+    data: Option<Vec<Bound<'py, PyBytes>>>,
     timeout: f64,
 ) -> PyResult<Bound<'py, PyAny>> {
-    access_registers(py, descriptor, instruction, &ids, &block, data, timeout)?.to_python(py)
+    let Some(rows) = data else {
+        return read_registers(py, descriptor, instruction, &ids, block, timeout)?.to_python(py);
+    };
+    if rows.len() != ids.len() || rows.iter().any(|row| row.as_bytes().len() != block[1]) {
+        return Err(PyValueError::new_err("data has one row of the size of the block for each id"));
+    }
+    let bytes: Vec<u8> = rows.iter().flat_map(|row| row.as_bytes()).copied().collect();
+    write_registers(py, descriptor, &ids, block, &bytes, timeout)?;
+    Ok(PyList::empty(py).into_any())
 }
 
-/// Builds and sends a request to read or write the registers `block` (address, size) of the servos `ids`, with `data`
-/// to write to each, and returns the replies. Releases the interpreter lock.
-pub(crate) fn access_registers(
+/// Requests the registers `block` (address, size) of the servos `ids`, and returns the replies. Releases the
+/// interpreter lock.
+pub(crate) fn read_registers(
     py: Python<'_>,
     descriptor: i32,
     instruction: u8,
     ids: &[usize],
-    block: &[usize],
-    data: Option<&Bound<'_, PyList>>,
+    block: [usize; 2],
     timeout: f64,
 ) -> PyResult<Replies> {
-    let too_large = |_| PyValueError::new_err("ids, addresses and sizes of Protocol 1.0 are bytes");
-    let bytes = |numbers: &[usize]| numbers.iter().map(|x| u8::try_from(*x)).collect::<Result<Vec<u8>, _>>();
-    let (ids, block) = (bytes(ids).map_err(too_large)?, bytes(block).map_err(too_large)?);
-    let &[address, size] = &block[..] else {
-        return Err(PyValueError::new_err("a block has an address and a size"));
-    };
+    let (ids, block) = (bytes(ids)?, bytes(&block)?);
     let id = if instruction == READ { ids.first().copied().unwrap_or(BROADCAST) } else { BROADCAST };
-    let mut request = vec![0xff, 0xff, id, 0, instruction, address, size];
+    let mut request = vec![0xff, 0xff, id, 0, instruction, block[0], block[1]];
     if instruction == SYNC_READ {
         request.extend_from_slice(&ids);
     }
-    for (id, row) in ids.iter().zip(data.into_iter().flatten()) {
-        request.push(*id);
-        request.extend_from_slice(row.cast::<PyBytes>()?.as_bytes());
-    }
-    request[3] = u8::try_from(request.len() - 3).map_err(too_large)?;
-    request.push(!request[2..].iter().fold(0u8, |sum, byte| sum.wrapping_add(*byte)));
-    send_request(py, descriptor, &request, if data.is_none() { &ids } else { &[] }, size, timeout)
+    send_request(py, descriptor, request, &ids, block[1], timeout)
 }
 
-/// Sends a request packet without the interpreter lock, and returns the replies of the servos `ids` with `size` data
-/// bytes each.
+/// Writes the registers `block` (address, size) of the servos `ids` with one packet, which has no reply. `data` has the
+/// bytes of one servo after the other. Releases the interpreter lock.
+pub(crate) fn write_registers(
+    py: Python<'_>,
+    descriptor: i32,
+    ids: &[usize],
+    block: [usize; 2],
+    data: &[u8],
+    timeout: f64,
+) -> PyResult<()> {
+    let (ids, header) = (bytes(ids)?, bytes(&block)?);
+    let mut request = vec![0xff, 0xff, BROADCAST, 0, SYNC_WRITE, header[0], header[1]];
+    for (id, row) in ids.iter().zip(data.chunks(block[1].max(1))) {
+        request.push(*id);
+        request.extend_from_slice(row);
+    }
+    send_request(py, descriptor, request, &[], header[1], timeout).map(|_| ())
+}
+
+/// Returns the numbers as bytes.
+fn bytes(numbers: &[usize]) -> PyResult<Vec<u8>> {
+    numbers.iter().map(|number| u8::try_from(*number)).collect::<Result<_, _>>().map_err(too_large)
+}
+
+fn too_large(_: TryFromIntError) -> PyErr {
+    PyValueError::new_err("ids, addresses and sizes of Protocol 1.0 are bytes")
+}
+
+/// Completes a request packet with length and checksum, sends it without the interpreter lock, and returns the replies
+/// of the servos `ids` with `size` data bytes each.
 fn send_request(
     py: Python<'_>,
     descriptor: i32,
-    request: &[u8],
+    mut request: Vec<u8>,
     ids: &[u8],
     size: u8,
     timeout: f64,
 ) -> PyResult<Replies> {
+    request[3] = u8::try_from(request.len() - 3).map_err(too_large)?;
+    request.push(!request[2..].iter().fold(0u8, |sum, byte| sum.wrapping_add(*byte)));
     let timeout = Duration::from_secs_f64(timeout.clamp(0.0, LONGEST));
     let packet_len = OVERHEAD + usize::from(size);
     let mut bytes = vec![0; ids.len() * packet_len];
@@ -119,7 +147,7 @@ fn send_request(
         // SAFETY: the descriptor is not -1, and is used during this call only. A descriptor that Python closes
         // meanwhile makes the calls fail, or reach another file of the program, but breaks no memory.
         let port = unsafe { BorrowedFd::borrow_raw(descriptor) };
-        write_and_read(port, request, ids, &mut bytes, timeout)
+        write_and_read(port, &request, ids, &mut bytes, timeout)
     });
     let (received, is_wrong) = result.map_err(|errno| PyOSError::new_err((errno.raw_os_error(), "serial port")))?;
     let is_complete = received == bytes.len() && !is_wrong;
@@ -127,8 +155,8 @@ fn send_request(
     Ok(Replies { bytes, packet_len, is_complete })
 }
 
-/// Discards received bytes, writes the request and reads the replies into `reply`, whose length is that of the expected
-/// packets. Returns the number of bytes read, and true if they are not a valid packet of the expected size from each of
+/// Writes the request and reads the replies into `reply`, whose length is that of the expected packets. If replies are
+/// expected, bytes that were received before are discarded. Returns the number of bytes read, and true if they are not a valid packet of the expected size from each of
 /// the servos `ids`; reading ends when this shows.
 fn write_and_read(
     port: BorrowedFd<'_>,
@@ -139,7 +167,7 @@ fn write_and_read(
 ) -> Result<(usize, bool), Errno> {
     let mut old = [0; CHUNK];
     let mut discards = 0;
-    while discards < MAX_DISCARDS && wait(port, PollFlags::IN, Instant::now())? {
+    while !reply.is_empty() && discards < MAX_DISCARDS && wait(port, PollFlags::IN, Instant::now())? {
         input(port, &mut old)?;
         discards += 1;
     }

@@ -45,6 +45,31 @@ impl ServoCodec {
             decoded => Some(Some(decoded == Decoded::Notable)),
         })
     }
+
+    /// Reads and checks goals, torque limits and largest speeds (n,) of all joints.
+    fn set_command(
+        &mut self,
+        goal: &Bound<'_, PyAny>,
+        limit: &Bound<'_, PyAny>,
+        velocity: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<()> {
+        let given = [("goal", Some(goal)), ("limit", Some(limit)), ("velocity", velocity)];
+        for ((name, value), row) in given.into_iter().zip(&mut self.command) {
+            match value {
+                Some(value) => array_into(name, value, &[row.len()], row)?,
+                None => row.fill(f64::INFINITY),
+            }
+        }
+        self.core.check_command(self.command.each_ref().map(|row| &row[..])).or_raise()
+    }
+
+    /// Returns goal, limit and speed cap registers of a servo for the command of `set_command`, and the sizes of its
+    /// packets in `packets`.
+    fn encode_command(&mut self, servo: usize, max_speed: f64) -> PyResult<([i64; 3], [usize; 2])> {
+        let joint = self.core.joint(servo).or_raise()?;
+        let command = [0, 1, 2].map(|i: usize| self.command[i][joint]);
+        self.core.encode(servo, command, max_speed, &mut self.packets).or_raise()
+    }
 }
 
 #[pymethods]
@@ -149,14 +174,14 @@ impl ServoCodec {
         descriptor: i32,
         servos: Vec<usize>,
         ids: Vec<usize>,
-        block: Vec<usize>,
+        block: [usize; 2],
         timeout: f64,
         time: f64,
         longest: f64,
         usual: bool,
     ) -> PyResult<Option<(Bound<'py, PyAny>, Bound<'py, PyList>)>> {
         let py = slf.py();
-        let replies = serial::access_registers(py, descriptor, serial::SYNC_READ, &ids, &block, None, timeout)?;
+        let replies = serial::read_registers(py, descriptor, serial::SYNC_READ, &ids, block, timeout)?;
         let notable = PyList::empty(py);
         if replies.is_complete {
             // Borrow the codec only now: while the interpreter lock was released, another port may have used it.
@@ -199,19 +224,11 @@ impl ServoCodec {
         velocity: Option<&Bound<'py, PyAny>>,
         max_speed: f64,
     ) -> PyResult<Bound<'py, PyTuple>> {
-        let given = [("goal", Some(goal)), ("limit", Some(limit)), ("velocity", velocity)];
-        for ((name, value), row) in given.into_iter().zip(&mut self.command) {
-            match value {
-                Some(value) => array_into(name, value, &[row.len()], row)?,
-                None => row.fill(f64::INFINITY),
-            }
-        }
+        self.set_command(goal, limit, velocity)?;
         let registers = [(); 3].map(|()| PyList::empty(py));
         let packets = [(); 2].map(|()| PyList::empty(py));
         for servo in servos {
-            let joint = self.core.joint(servo).or_raise()?;
-            let command = [0, 1, 2].map(|i: usize| self.command[i][joint]);
-            let (values, sizes) = self.core.encode(servo, command, max_speed, &mut self.packets).or_raise()?;
+            let (values, sizes) = self.encode_command(servo, max_speed)?;
             for (list, value) in registers.iter().zip(values) {
                 list.append(value)?;
             }
@@ -222,6 +239,57 @@ impl ServoCodec {
         let [goals, limits, speeds] = registers;
         let [first, second] = packets;
         PyTuple::new(py, [goals, limits, speeds, first, second])
+    }
+
+    #[cfg(unix)]
+    #[doc = stub!(ServoCodec.write)]
+    #[expect(clippy::too_many_arguments, reason = "a command, and where it is sent")]
+    #[expect(clippy::needless_pass_by_value, reason = "what PyO3 extracts it hands over")]
+    fn write(
+        slf: &Bound<'_, Self>,
+        descriptor: i32,
+        servos: Vec<usize>,
+        ids: Vec<usize>,
+        blocks: Vec<[usize; 2]>,
+        goal: &Bound<'_, PyAny>,
+        limit: &Bound<'_, PyAny>,
+        velocity: Option<&Bound<'_, PyAny>>,
+        max_speed: f64,
+        timeout: f64,
+    ) -> PyResult<()> {
+        let mut codec = slf.try_borrow_mut()?;
+        codec.set_command(goal, limit, velocity)?;
+        let mut data = [(); 2].map(|()| Vec::with_capacity(servos.len() * MAX_PACKET));
+        let mut sent = Vec::with_capacity(servos.len());
+        for servo in &servos {
+            let ([goal, limit, _], sizes) = codec.encode_command(*servo, max_speed)?;
+            sent.push((*servo, goal, limit, codec.packets[0], sizes[0]));
+            for ((bytes, packet), size) in data.iter_mut().zip(&codec.packets).zip(sizes) {
+                bytes.extend_from_slice(packet.get(..size).unwrap_or_default());
+            }
+        }
+        // While the interpreter lock is released, another port may use the codec.
+        drop(codec);
+        for (block, bytes) in blocks.iter().zip(&data) {
+            serial::write_registers(slf.py(), descriptor, &ids, *block, bytes, timeout)?;
+        }
+        let mut codec = slf.try_borrow_mut()?;
+        for (servo, goal, limit, packet, size) in sent {
+            codec.core.record_sent(servo, Some(goal), limit, &packet[..size]).or_raise()?;
+        }
+        Ok(())
+    }
+
+    #[doc = stub!(ServoCodec.record_sent)]
+    #[pyo3(signature = (servo, goal, limit, packet))]
+    fn record_sent(&mut self, servo: usize, goal: Option<i64>, limit: i64, packet: &[u8]) -> PyResult<()> {
+        self.core.record_sent(servo, goal, limit, packet).or_raise()
+    }
+
+    #[doc = stub!(ServoCodec.sent)]
+    fn sent<'py>(&self, py: Python<'py>, servo: usize) -> PyResult<(Option<i64>, i64, u32, Bound<'py, PyBytes>)> {
+        let sent = self.core.sent(servo).or_raise()?;
+        Ok((sent.goal, sent.limit, sent.count, PyBytes::new(py, sent.packet())))
     }
 
     #[doc = stub!(ServoCodec.reading)]

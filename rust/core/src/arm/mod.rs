@@ -23,7 +23,7 @@ pub use hand_guiding::{HandGuiding, HandGuidingOptions, SwingResult};
 pub use joint_follower::{JointFollower, JointFollowerOptions};
 pub use lowering::{DEFAULT_SPEED, Lowering, LoweringPhase, LoweringStart, SUPPORT, torque_margin};
 pub use position_filter::PositionFilter;
-pub use servo_codec::{Decoded, MAX_PACKET, Register, ServoCodec, ServoReading, ServoUnits};
+pub use servo_codec::{Decoded, MAX_PACKET, Register, SentCommand, ServoCodec, ServoReading, ServoUnits};
 pub use thermal::{ThermalModel, ThermalOptions};
 
 /// Largest absolute value in a joint vector; larger numbers could overflow in squares and rates.

@@ -114,12 +114,33 @@ pub struct ServoReading {
     pub supplied: f64,
 }
 
+/// Last command that was sent to a servo.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct SentCommand {
+    /// Values of the goal register, `None` before the first command, and of the limit register.
+    pub goal: Option<i64>,
+    /// See `goal`.
+    pub limit: i64,
+    /// Number of commands so far.
+    pub count: u32,
+    /// First packet, and its size; 0: unknown.
+    packet: ([u8; MAX_PACKET], usize),
+}
+
+impl SentCommand {
+    /// Returns the bytes of the first packet that wrote goal and limit; empty if they are unknown.
+    pub fn packet(&self) -> &[u8] {
+        &self.packet.0[..self.packet.1]
+    }
+}
+
 /// A servo of a [`ServoCodec`].
 #[derive(Debug, Clone, Default)]
 struct Servo {
     joint: usize,
     units: ServoUnits,
     reading: ServoReading,
+    sent: SentCommand,
     has_status: bool,
     /// Time without accepted reading, as far as it extends the accepted change of position [s]; infinite: accept any.
     allowed: f64,
@@ -361,14 +382,29 @@ impl ServoCodec {
         (&self.joints, &self.ok)
     }
 
-    /// Returns goal, limit and speed cap registers of a servo for a goal [rad], torque limit [N·m] and largest speed
-    /// [rad/s], and writes its packets to `packets`, whose lengths it returns.
+    /// Checks a command for all joints: goals (n) [rad], torque limits (n) [N·m] and largest speeds (n) [rad/s].
+    ///
+    /// # Errors
+    /// [`Error::OutOfRange`] if a goal or limit is not finite, a speed is NaN, or a limit or speed is negative.
+    pub fn check_command(&self, command: [&[f64]; 3]) -> Result<()> {
+        let [goals, limits, speeds] = command;
+        for ((&goal, &limit), &speed) in goals.iter().zip(limits).zip(speeds) {
+            if !(goal.is_finite() && limit.is_finite() && limit >= 0.0 && speed >= 0.0) {
+                let row = [goal, limit, speed];
+                let value = row.into_iter().find(|value| !value.is_finite()).unwrap_or(limit.min(speed));
+                return Err(Error::out_of_range("command", value, "finite goals, and limits and speeds of at least 0"));
+            }
+        }
+        Ok(())
+    }
+
+    /// Returns goal, limit and speed cap registers of a servo for a valid command: goal [rad], torque limit [N·m] and
+    /// largest speed [rad/s]. Writes its packets to `packets`, whose lengths it returns.
     ///
     /// The speed is bounded by `max_speed` [rad/s], or by the joint's speed without load if `max_speed` is 0.
     ///
     /// # Errors
-    /// [`Error::OutOfRange`] if there is no such servo, goal or limit is not finite, the speed is NaN, or limit or
-    /// speed is negative.
+    /// [`Error::OutOfRange`] if there is no such servo.
     #[expect(clippy::cast_possible_truncation, reason = "registers are whole numbers within their bounds")]
     pub fn encode(
         &self,
@@ -379,11 +415,6 @@ impl ServoCodec {
     ) -> Result<([i64; 3], [usize; 2])> {
         let servo = self.servo(servo)?;
         let [goal, limit, speed] = command;
-        let is_valid = goal.is_finite() && limit.is_finite() && limit >= 0.0 && speed >= 0.0;
-        if !is_valid {
-            let value = command.into_iter().find(|value| !value.is_finite()).unwrap_or(limit.min(speed));
-            return Err(Error::out_of_range("command", value, "finite goals, and limits and speeds of at least 0"));
-        }
         let first = self.servos.iter().find(|other| other.joint == servo.joint).unwrap_or(servo);
         let bound = if max_speed > 0.0 { max_speed } else { first.units.no_load_speed };
         let values = servo.command([goal, limit, speed.min(bound)]).map(|value| value as i64);
@@ -395,6 +426,30 @@ impl ServoCodec {
             }
         }
         Ok((values, [blocks[0][1].min(MAX_PACKET), blocks[1][1].min(MAX_PACKET)]))
+    }
+
+    /// Returns the last command that was sent to a servo.
+    ///
+    /// # Errors
+    /// [`Error::OutOfRange`] if there is no such servo.
+    pub fn sent(&self, servo: usize) -> Result<&SentCommand> {
+        self.servo(servo).map(|servo| &servo.sent)
+    }
+
+    /// Records that a command was sent to a servo: values of goal and limit register, and the first packet (empty:
+    /// unknown).
+    ///
+    /// # Errors
+    /// [`Error::OutOfRange`] if there is no such servo; [`Error::Shape`] if the packet is longer than [`MAX_PACKET`].
+    pub fn record_sent(&mut self, servo: usize, goal: Option<i64>, limit: i64, packet: &[u8]) -> Result<()> {
+        let sent = &mut self.servo_mut(servo)?.sent;
+        let Some(bytes) = sent.packet.0.get_mut(..packet.len()) else {
+            return Err(Error::length("packet", packet.len(), MAX_PACKET));
+        };
+        bytes.copy_from_slice(packet);
+        (sent.goal, sent.limit, sent.packet.1) = (goal, limit, packet.len());
+        sent.count = sent.count.wrapping_add(1);
+        Ok(())
     }
 }
 
