@@ -3174,7 +3174,6 @@ class ServoCodec:
         commands so far, and the packet.
         """
 
-
     def reading(self, servo: int) -> _Array:
         """Return the last accepted reading of a servo, 8 numbers; NaN for what was not read.
 

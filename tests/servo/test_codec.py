@@ -154,3 +154,8 @@ def test_arguments_that_do_not_fit():
             encode(servo, *command)
     with pytest.raises(ShapeError, match="position"):
         servo.codec.decode([0], [(b"\0" * 15, 0)], 200, 0.0, math.inf)
+    with pytest.raises(ShapeError, match="packet"):
+        servo.codec.record_sent(0, 1, 1, b"\0" * 33)
+    for call in (servo.codec.sent, lambda i: servo.codec.record_sent(i, 1, 1, b"")):
+        with pytest.raises(OutOfRangeError, match="servo = 1"):
+            call(1)

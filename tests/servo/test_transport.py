@@ -11,7 +11,7 @@ import pytest
 
 pytest.importorskip("rustypot", reason="the tests of servo buses need the extra servo")
 
-from pliant._core import ServoCodec
+from pliant._core import OutOfRangeError, ServoCodec
 from pliant.emulator.pty import Pty
 from pliant.servo import BusError, RustypotTransport, ServoSpec, transport
 from pliant.servo._device import Device
@@ -42,6 +42,11 @@ class Answering:
             if select.select([self.pty.master], [], [], 0.02)[0]:
                 self.requests.append(os.read(self.pty.master, 4096))
                 os.write(self.pty.master, self.reply)
+
+    def wait_for(self, size):
+        """Wait until the requests have this number of bytes."""
+        while sum(map(len, self.requests)) < size:
+            time.sleep(0.001)
 
     def stop(self):
         self._open = False
@@ -164,6 +169,43 @@ def test_readings_decoded_with_the_request_are_those_decoded_after_it():
                 other.decode([i], [answers[i]], block.address, time, math.inf)
         results |= {result for _, result in notable} | {decoded is None}
     assert results == {None, False, True}
+    port.close()
+
+
+@pytest.mark.skipif(transport.sys.platform == "win32", reason="commands are encoded in Python")
+def test_a_command_encoded_with_its_packet_is_the_command_encoded_before_it():
+    port = Answering()
+    codec, family, _ = codec_of_two()
+    ids, command = [3, 5], ([0.1, -0.2], [0.5, 0.25], [1.0, math.inf], 2.0)
+    goals, limits, _, packets, _ = codec.encode([0, 1], *command)
+    assert codec.sent(0)[::3] == (None, b"")
+    port.io.sync_encode(ids, family.write_blocks, codec, [0, 1], command)
+    size = 8 + len(ids) * (1 + len(packets[0]))
+    port.wait_for(size)
+    port.io.sync_write(ids, family.write_blocks[0].address, packets)
+    port.wait_for(2 * size)
+    sent = b"".join(port.requests)
+    assert sent[:size] == sent[size:]
+    counts = [codec.sent(i)[2] for i in range(2)]
+    assert [codec.sent(i)[0] for i in range(2)] == goals
+    assert [codec.sent(i)[1] for i in range(2)] == limits
+    assert [codec.sent(i)[3] for i in range(2)] == packets
+    # The first servo's command is valid, the other's is not: nothing is sent.
+    for bad in (([0.3, math.nan], [0.5, 0.5], None, 2.0), ([0.3, 0.3], [0.5, -1.0], None, 2.0)):
+        with pytest.raises(OutOfRangeError, match="command"):
+            port.io.sync_encode(ids[:1], family.write_blocks, codec, [0], bad)
+    port.reply = packet(3)
+    port.io.read(3, 56, SIZE)
+    assert b"".join(port.requests)[2 * size :] == bytes((255, 255, 3, 4, 2, 56, SIZE, 186))
+    # A port that is gone: nothing is recorded.
+    port.stop()
+    port.pty.hang_up()
+    with pytest.raises(BusError, match="gone"):
+        port.io.sync_encode(
+            ids, family.write_blocks, codec, [0, 1], ([0.3] * 2, [0.1] * 2, None, 0)
+        )
+    assert [codec.sent(i)[0] for i in range(2)] == goals
+    assert [codec.sent(i)[2] for i in range(2)] == counts
     port.close()
 
 

@@ -36,10 +36,6 @@ if TYPE_CHECKING:
     from pliant.drive import Clock, Drive, ServoStatus
 
     Orders = Mapping[str, tuple[float, float]]
-    #: Result of `CommandLimiter.update`.
-    Updated = tuple[
-        bool, Array, float, list[float], Array, Array | None, Array | None, Array | None, bool
-    ]
 
 
 #: Assumed largest speed of a joint without a speed limit in the model [rad/s].
@@ -268,39 +264,12 @@ class ArmIO:
         Raises:
             ServoError: The connection to the drive is lost.
         """
-        self._update()
+        self.read()
         is_new: Mask = self.positions.accepted[self.joints.chain]
         return is_new
 
     def read(self) -> State:
-        """Read all joints, and return the state of the arm.
-
-        Raises:
-            ServoError: The connection to the drive is lost.
-        """
-        is_fresh, q, time, off_chain, age, dq, load, current, is_suspect = self._update()
-        # The constructor of a frozen dataclass makes a call per attribute.
-        state = object.__new__(State)
-        state.__dict__.update(
-            q=q,
-            dq=dq,
-            time=time,
-            fresh=is_fresh,
-            extra=dict(zip(self.joints.extra, off_chain, strict=True)),
-            age=age,
-            load=load,
-            current=current,
-            voltage=self._chain_voltage,
-            temperature=self._chain_temperature,
-            faults=self.faults() if is_suspect or self._reported else (),
-        )
-        return state
-
-    def _update(self) -> Updated:
-        """Read all joints, and update the filter of positions and the heat of the servos.
-
-        Returns:
-            The values that `CommandLimiter.update` returns.
+        """Read all joints, update filter and heat, and return the state of the arm.
 
         Raises:
             ServoError: The connection to the drive is lost.
@@ -320,7 +289,7 @@ class ArmIO:
             if gap > 0.5 * self._watchdog:
                 self._rearm()
         passed, self._last_update = now - self._last_update, now
-        return self._limiter.update(
+        is_fresh, q, time, off_chain, age, dq, load, current, is_suspect = self._limiter.update(
             self.positions,
             sample.position,
             sample.ok,
@@ -335,6 +304,22 @@ class ArmIO:
             max_jumps=MAX_JUMPS,
             max_heat=TOO_HOT,
         )
+        # The constructor of a frozen dataclass makes a call per attribute.
+        state = object.__new__(State)
+        state.__dict__.update(
+            q=q,
+            dq=dq,
+            time=time,
+            fresh=is_fresh,
+            extra=dict(zip(self.joints.extra, off_chain, strict=True)),
+            age=age,
+            load=load,
+            current=current,
+            voltage=self._chain_voltage,
+            temperature=self._chain_temperature,
+            faults=self.faults() if is_suspect or self._reported else (),
+        )
+        return state
 
     def faults(self) -> tuple[str, ...]:
         """Return the present faults of the servos, one sentence each."""

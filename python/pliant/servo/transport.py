@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 
     #: Bytes and status byte of each servo.
     Answers = list[tuple[bytes, int]]
-    #: Goals [rad], torque limits [N·m] and largest speeds (n,) [rad/s] of the joints, and upper bound
-    #: of the speeds [rad/s]: the last four arguments of `ServoCodec.encode`.
+    #: Goals [rad], torque limits [N·m] and largest speeds [rad/s] of the joints (n,), and upper
+    #: bound of the speeds [rad/s]: the last four arguments of `ServoCodec.encode`.
     Command = tuple[ArrayLike, ArrayLike, ArrayLike | None, float]
 
 Reason = Literal["timeout", "corrupt", "stale", "refused", "late", "noisy", "gone"]
@@ -154,7 +154,7 @@ class RustypotTransport:
             raise ServoError(_cannot_open(port, str(error))) from error
         # Packets of Protocol 1.0 use the file descriptor of the port if it is known.
         opened = _descriptors(port) - before if protocol == "p1" else set()
-        self._descriptor = opened.pop() if len(opened) == 1 else None
+        self._descriptor: Any = opened.pop() if len(opened) == 1 else None
         # Locked, because the number of a closed descriptor may be reused while a thread uses it.
         self._lock = threading.Lock()
 

@@ -73,7 +73,7 @@ pub(crate) fn exchange<'py>(
     if rows.len() != ids.len() || rows.iter().any(|row| row.as_bytes().len() != block[1]) {
         return Err(PyValueError::new_err("data has one row of the size of the block for each id"));
     }
-    let bytes: Vec<u8> = rows.iter().flat_map(|row| row.as_bytes()).copied().collect();
+    let bytes: Vec<u8> = rows.iter().flat_map(PyBytesMethods::as_bytes).copied().collect();
     write_registers(py, descriptor, &ids, block, &bytes, timeout)?;
     Ok(PyList::empty(py).into_any())
 }
@@ -166,16 +166,20 @@ fn write_and_read(
     timeout: Duration,
 ) -> Result<(usize, bool), Errno> {
     let mut old = [0; CHUNK];
-    let mut discards = 0;
-    while !reply.is_empty() && discards < MAX_DISCARDS && wait(port, PollFlags::IN, Instant::now())? {
-        input(port, &mut old)?;
-        discards += 1;
-    }
+    let mut discards = if reply.is_empty() { MAX_DISCARDS } else { 0 };
     let end = Instant::now() + timeout;
     let mut rest = request;
     while !rest.is_empty() {
-        if !wait(port, PollFlags::OUT, end)? {
+        let may_discard = discards < MAX_DISCARDS && rest.len() == request.len();
+        let flags = if may_discard { PollFlags::IN | PollFlags::OUT } else { PollFlags::OUT };
+        let ready = wait(port, flags, end)?;
+        if ready.is_empty() {
             return Err(Errno::TIMEDOUT);
+        }
+        if may_discard && ready.contains(PollFlags::IN) {
+            input(port, &mut old)?;
+            discards += 1;
+            continue;
         }
         let sent = match write(port, rest) {
             Err(Errno::AGAIN | Errno::INTR) => 0,
@@ -186,7 +190,7 @@ fn write_and_read(
     // Reading ends after `timeout` without a byte, and in any case after `timeout` for each servo.
     let last = Instant::now() + timeout * u32::try_from(ids.len()).unwrap_or(u32::MAX);
     let mut received = 0;
-    while received < reply.len() && wait(port, PollFlags::IN, last.min(Instant::now() + timeout))? {
+    while received < reply.len() && !wait(port, PollFlags::IN, last.min(Instant::now() + timeout))?.is_empty() {
         received += input(port, &mut reply[received..])?;
         let packets = reply[..received].chunks_exact(reply.len() / ids.len());
         let is_short = matches!(packets.remainder(), [_, _, _, size, rest @ ..] if rest.len() >= usize::from(*size));
@@ -201,16 +205,17 @@ fn write_and_read(
     Ok((received, false))
 }
 
-/// Waits until the port is ready for reading or writing (`flags`), or has failed; returns false if neither happens
-/// until `end`.
-fn wait(port: BorrowedFd<'_>, flags: PollFlags, end: Instant) -> Result<bool, Errno> {
+/// Waits until the port is ready for reading or writing (`flags`), or has failed; returns what it is ready for, empty if
+/// nothing happens before `end`.
+fn wait(port: BorrowedFd<'_>, flags: PollFlags, end: Instant) -> Result<PollFlags, Errno> {
     loop {
         let remaining = end.saturating_duration_since(Instant::now());
         let timeout = Timespec::try_from(remaining).map_err(|_| Errno::INVAL)?;
-        match poll(&mut [PollFd::from_borrowed_fd(port, flags)], Some(&timeout)) {
-            Err(Errno::INTR) if remaining.is_zero() => return Ok(false),
+        let mut descriptors = [PollFd::from_borrowed_fd(port, flags)];
+        match poll(&mut descriptors, Some(&timeout)) {
+            Err(Errno::INTR) if remaining.is_zero() => return Ok(PollFlags::empty()),
             Err(Errno::INTR) => {}
-            result => return Ok(result? > 0),
+            result => return result.map(|_| descriptors[0].revents()),
         }
     }
 }
