@@ -43,6 +43,7 @@ with pliant.Arm(plant.model, pliant.sim.SimDrive(plant)) as arm:
 log = pliant.log.read(folder / "run.mcap")
 # The log has no forces: run the controller again, with a ContactEstimator.
 estimates = forces.estimate_forces(log)
+assert estimates is not None, "the computer was busy, and ticks are missing in the log: try again"
 for k in range(3):
     force = float(np.abs(estimates.force[:, k]).max())
     print(findings.sentence(log, estimates, k), f"Felt: {force:.0f} N at most.")

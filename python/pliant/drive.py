@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 #: Last part of a wait [s] that is a busy loop instead of a `sleep`, because `sleep` returns late.
-SPIN = 7e-5
+SPIN = 8e-5
 
 
 @dataclass(frozen=True, init=False)

@@ -43,6 +43,30 @@ def test_silence_is_detected_once_and_raised_at_the_next_call():
     assert calls[0] <= 1e-4 < interval == sys.getswitchinterval()
 
 
+def test_two_arms_that_stall_at_once_restore_the_switch_interval():
+    interval, intervals = sys.getswitchinterval(), []
+    begun, ends = [threading.Event(), threading.Event()], [threading.Event(), threading.Event()]
+
+    def leave(arm):
+        begun[arm].set()
+        assert ends[arm].wait(10.0)
+        intervals.append(sys.getswitchinterval())
+
+    first, second = (Supervisor(lambda arm=arm: leave(arm)) for arm in range(2))
+    with first.supervised(0.05):
+        assert begun[0].wait(10.0)
+        with second.supervised(0.05):
+            assert begun[1].wait(10.0)
+            for supervisor, end in ((first, ends[0]), (second, ends[1])):
+                assert sys.getswitchinterval() <= 1e-4
+                end.set()
+                # The lock is free when the interval has been restored.
+                assert supervisor.lock.acquire(timeout=10.0)
+                supervisor.lock.release()
+    assert max(intervals) <= 1e-4
+    assert sys.getswitchinterval() == interval
+
+
 def test_no_supervision_outside_a_loop_or_in_simulated_time(make, grasp):
     MESSAGES.start()
     before = threading.active_count()

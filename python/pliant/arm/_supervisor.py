@@ -24,6 +24,33 @@ def private_heartbeat() -> memoryview[float]:
     return memoryview(bytearray(16)).cast("d")
 
 
+class ShortSwitchInterval:
+    """Context in which Python's thread switch interval is at most `SWITCH_INTERVAL`.
+
+    Threads may be in it at the same time; the last one to leave restores the interval.
+    """
+
+    def __init__(self) -> None:
+        self._lock, self._users, self._interval = threading.Lock(), 0, 0.0
+
+    def __enter__(self) -> None:
+        with self._lock:
+            if self._users == 0:
+                self._interval = sys.getswitchinterval()
+                sys.setswitchinterval(min(self._interval, SWITCH_INTERVAL))
+            self._users += 1
+
+    def __exit__(self, *_: object) -> None:
+        with self._lock:
+            self._users -= 1
+            if self._users == 0:
+                sys.setswitchinterval(self._interval)
+
+
+#: The interval belongs to the interpreter, so all supervisors share this context.
+_SHORT_SWITCH_INTERVAL = ShortSwitchInterval()
+
+
 class Supervisor:
     """Lock of an arm, and a watchdog thread that calls `leave` if the program stalls.
 
@@ -183,11 +210,8 @@ class Supervisor:
         """Call `leave` after a stall of `stall` [s]; store the stall and any error in `reason`."""
         self.reason = f"the program did not come back for {stall:.2f} s: the arm was taken over"
         self.abort.clear()
-        interval = sys.getswitchinterval()
-        sys.setswitchinterval(min(interval, SWITCH_INTERVAL))
-        try:
-            self._leave()
-        except BaseException as error:
-            self.reason += f"; while it was being lowered: {error}"
-        finally:
-            sys.setswitchinterval(interval)
+        with _SHORT_SWITCH_INTERVAL:
+            try:
+                self._leave()
+            except BaseException as error:
+                self.reason += f"; while it was being lowered: {error}"
