@@ -387,6 +387,28 @@ def test_registers_and_zeros_are_those_of_the_ended_program_on_two_ports(monkeyp
         copy.close()
 
 
+@pytest.mark.parametrize(("robot", "requests"), [("so101", 8), ("koch", 16)])
+def test_the_first_goal_of_a_guardian_needs_few_requests(robot, requests):
+    """Until then, servos hold what the program sent last."""
+    with make_emulator(guardian.configuration(robot)) as emulated:
+        config = guardian.configuration(robot, backend="bus", port=emulated.port)
+        program = pliant.connect(config, guardian=False, handle_signals=False)
+        program.enable()
+        copy = pickle.loads(pickle.dumps(program.drive.closed_copy()))
+        emulated.sync()
+        program.drive.close()
+        goals_sent = []
+        emulated.log.watch = lambda transaction: goals_sent.append(
+            any("goal_position" in write.values for write in transaction.writes)
+        )
+        arm = pliant.Arm(program.model, copy, guardian=False, handle_signals=False)
+        arm._resume("the program has ended")
+        assert goals_sent.index(True) <= requests
+        assert not any(servo.get("torque_enable") for servo in emulated.servos)
+        arm.close()
+        program._release()
+
+
 @pytest.mark.parametrize("powered", [3, 0])
 def test_the_guardian_of_a_half_enabled_arm_switches_no_torque_on(powered):
     with make_emulator(guardian.configuration("so101"), q=LOW) as emulated:

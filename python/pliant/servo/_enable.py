@@ -16,10 +16,11 @@ from pliant.servo._transactions import Reply
 from pliant.servo.transport import BusError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from pliant.servo._device import Device
     from pliant.servo._port import Group, Port
+    from pliant.servo.models.base import Block
 
     Ports = Mapping[int, Port]
 
@@ -40,6 +41,8 @@ RESUME_TIME = 3.0
 _CHECKED = ("torque_enable", "position", "hardware_error", "watchdog", "voltage")
 #: Registers of the first command, in the order of `FirstCommand`.
 _COMMANDED = ("goal", "limit", "speed_cap")
+#: Registers of a servo that an ended program has left.
+_RESUMED = ("torque_enable", "goal", "limit")
 #: Number of torque-off packets to a servo that does not reply.
 OFF_PACKETS = 3
 #: Largest number of attempts to send them: on a noisy line, an attempt may fail.
@@ -178,28 +181,64 @@ def resume(devices: Sequence[Device], ports: Ports, budget: float, patience: flo
     pending = list(devices)
     for device in devices:
         device.enabled, device.torque_unknown = False, True
+        device.accept_any_position()
+    # The servos hold what the ended program sent last, so the first goal must not be late.
+    together, failed = _read_together(devices, ports, budget) if patience > 0.0 else ({}, set())
     deadline = time.monotonic() + patience
     while pending:
         silent = []
         for device in pending:
             guard = ports[id(device)].guard
-            guard.start_cycle(budget)
-            device.accept_any_position()
+            # Outside of a cycle, the guard can exclude late replies to the failed request.
+            has_failed = id(device) in failed
+            guard.start_cycle(inf if has_failed else budget)
             try:
-                image = read_image(guard, device, "torque_enable", "goal", "limit")
-                device.accept(guard.read(device.id, *device.family.read))
+                *replies, reading = together.pop(id(device), None) or [
+                    *read_image(guard, device, *_RESUMED, again=not has_failed).replies,
+                    guard.read(device.id, *device.family.read, again=not has_failed),
+                ]
             except BusError as error:
                 error.raise_if_gone()
                 silent.append(device)
                 continue
+            image = RegisterImage(device, *replies)
+            device.accept_any_position()
+            device.accept(reading)
             device.enabled = device.torque_on = bool(image["torque_enable"])
             device.torque_unknown = False
             device.record_sent(image["goal"], image["limit"])
             deadline = time.monotonic() + patience
-        pending = silent
+        pending, failed = silent, set()
         if time.monotonic() > deadline:
             break
     return pending
+
+
+def _read_together(
+    devices: Sequence[Device], ports: Ports, budget: float
+) -> tuple[dict[int, list[Reply]], set[int]]:
+    """Read registers `_RESUMED` and position, with one request per block for servos of one kind.
+
+    Servos that cannot be read like this are left out.
+
+    Returns:
+        Replies of the servos by their `id`, that with the position last; and the servos whose
+        request failed, because one of them did not answer.
+
+    Raises:
+        BusError: A port is gone.
+    """
+    replies: dict[int, list[Reply]] = {}
+    failed: set[int] = set()
+    for port, group in _sync_groups(devices, ports):
+        family = group[0].family
+        port.guard.start_cycle(budget)
+        try:
+            replies |= _sync_replies(group, port, [*family.blocks(*_RESUMED), family.read[0]])
+        except BusError as error:
+            error.raise_if_gone()
+            failed.update(map(id, group))
+    return replies, failed
 
 
 class FirstCommand(NamedTuple):
@@ -476,35 +515,46 @@ def _images(devices: Sequence[Device], ports: Ports, *names: str) -> dict[int, R
     Servos of one port and kind answer one request per block; after a failure, and for kinds
     without such requests, each servo is read alone.
     """
-    found: dict[int, RegisterImage] = {}
-    groups: dict[tuple[int, int], list[Device]] = {}
+    found: dict[int, list[Reply]] = {}
+    for port, group in _sync_groups(devices, ports):
+        port.guard.start_cycle()
+        with suppress(BusError):
+            found |= _sync_replies(group, port, group[0].family.blocks(*names))
+    images = {}
     for device in devices:
-        groups.setdefault((id(ports[id(device)]), id(device.family)), []).append(device)
-    for group in groups.values():
-        if group[0].family.sync_read and len(group) > 1:
-            with suppress(BusError):
-                found.update(_sync_images(group, ports[id(group[0])], names))
-    return {id(d): found.get(id(d)) or _image(d, ports, *names) for d in devices}
+        if id(device) in found:
+            images[id(device)] = RegisterImage(device, *found[id(device)])
+            for reply in found[id(device)]:
+                device.note(reply)
+        else:
+            images[id(device)] = _image(device, ports, *names)
+    return images
 
 
-def _sync_images(
-    group: Sequence[Device], port: Port, names: Sequence[str]
-) -> dict[int, RegisterImage]:
-    """Read registers of servos of one port and kind, with one request per block.
+def _sync_groups(devices: Iterable[Device], ports: Ports) -> list[tuple[Port, list[Device]]]:
+    """Return groups of two or more servos that one sync read can read, with their port."""
+    groups: dict[tuple[int, int], tuple[Port, list[Device]]] = {}
+    for device in devices:
+        if device.family.sync_read:
+            port = ports[id(device)]
+            groups.setdefault((id(port), id(device.family)), (port, []))[1].append(device)
+    return [(port, group) for port, group in groups.values() if len(group) > 1]
+
+
+def _sync_replies(
+    group: Sequence[Device], port: Port, blocks: Sequence[Block]
+) -> dict[int, list[Reply]]:
+    """Read blocks of registers of servos of one port and kind, with one request per block.
 
     Raises:
         BusError: A reply is missing or corrupt.
     """
     replies: dict[int, list[Reply]] = {id(device): [] for device in group}
-    port.guard.start_cycle()
-    for wanted in group[0].family.blocks(*names):
+    for wanted in blocks:
         block, answers, time = port.guard.sync_read([device.id for device in group], wanted)
         for device, (data, status) in zip(group, answers, strict=True):
             replies[id(device)].append(Reply(block, data, status, time))
-    for device in group:
-        for reply in replies[id(device)]:
-            device.note(reply)
-    return {id(device): RegisterImage(device, *replies[id(device)]) for device in group}
+    return replies
 
 
 def _set(device: Device, ports: Ports, name: str, value: int) -> None:

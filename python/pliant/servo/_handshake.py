@@ -101,14 +101,18 @@ class RegisterImage:
         raise KeyError(name)
 
 
-def read_image(guard: TransactionGuard, device: Device, *names: str) -> RegisterImage:
+def read_image(
+    guard: TransactionGuard, device: Device, *names: str, again: bool = True
+) -> RegisterImage:
     """Read the registers `names` of a servo; without names, read all registers.
+
+    `again`: True to retry after a failure.
 
     Raises:
         BusError: The servo did not answer.
     """
     blocks = device.family.blocks(*names)
-    return RegisterImage(device, *(guard.read(device.id, block) for block in blocks))
+    return RegisterImage(device, *(guard.read(device.id, block, again=again) for block in blocks))
 
 
 def identify(port: Port) -> tuple[ServoInfo, ...]:

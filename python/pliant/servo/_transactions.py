@@ -289,6 +289,7 @@ class TransactionGuard:
         response_delay: Longest time from request to reply of a servo [s].
         latency: Latency timer of the USB adapter [s].
         held_back: Shortest delay of a reply beyond its wire time [s].
+        unused_id: Id without a servo; pings to it drain the line.
         is_gone: True if the port has vanished; every request then fails at once.
         is_noisy: True if the last drain outside of a control cycle ended without silence.
     """
@@ -311,7 +312,7 @@ class TransactionGuard:
         self.response_delay = RESPONSE_DELAY
         self.is_gone = self.is_noisy = False
         self.latency, self.held_back = latency, float("inf")
-        self._io, self._protocol, self._unused_id = transport, protocol, unused_id
+        self._io, self._protocol, self.unused_id = transport, protocol, unused_id
         self._baudrate, self._cycle = baudrate, cycle
         self._clock, self._sample_clock = clock, sample_clock or clock
         self._deadline = float("inf")
@@ -328,6 +329,10 @@ class TransactionGuard:
         Outside of control cycles the budget is infinite, with longer timeouts and more tries.
         """
         self._deadline = self._clock() + budget
+
+    def expect_late_replies(self) -> None:
+        """Drain the line before the next request: replies to an ended program may still come."""
+        self._is_dirty = True
 
     def read(self, id: int, *blocks: Block, again: bool = True) -> Reply:
         """Read a block of registers of one servo; after a failure, drain the line and retry.
@@ -504,7 +509,7 @@ class TransactionGuard:
             except BusError as error:
                 error.raise_if_gone()
                 continue
-            self._unused_id = number
+            self.unused_id = number
             return
 
     def _read(self, id: int, blocks: Sequence[Block]) -> Reply:
@@ -677,7 +682,7 @@ class TransactionGuard:
         self._set_timeout(silence)
         while (started := self._clock()) + silence <= end:
             try:
-                self._io.ping(self._unused_id)
+                self._io.ping(self.unused_id)
             except BusError as error:
                 if error.reason == "gone":
                     self.is_gone = True

@@ -136,8 +136,9 @@ class ServoBus:
         self._ports: list[Port] = []
         self._pool: ThreadPoolExecutor | None = None
         self._watchdog = 0.0
-        # Timing of each path, for a `closed_copy`: longest delay of a reply, adapter latency [s].
-        self._timing: dict[str, tuple[float, float]] = {}
+        # For a `closed_copy`, per path: longest delay of a reply [s], latency of the adapter [s],
+        # and an id without a servo.
+        self._lines: dict[str, tuple[float, float, int]] = {}
         self.found: tuple[ServoInfo, ...] = ()
 
     # Methods that open and close the bus.
@@ -184,8 +185,9 @@ class ServoBus:
         copy._joints, copy._devices = self._joints, self._devices
         copy._doubled = self._doubled
         copy._poller, copy.found = self._poller, self.found
-        copy._timing = {
-            port.path: (port.guard.response_delay, port.guard.latency) for port in self._ports
+        copy._lines = {
+            port.path: (port.guard.response_delay, port.guard.latency, port.guard.unused_id)
+            for port in self._ports
         }
         return copy
 
@@ -216,12 +218,11 @@ class ServoBus:
             return self._commands()
         self._attach()
         try:
-            for path, (response_delay, latency) in self._timing.items():
+            for path, (response_delay, latency, unused_id) in self._lines.items():
                 port = self._open_port(path)
-                port.guard.response_delay = response_delay
+                port.guard.response_delay, port.guard.unused_id = response_delay, unused_id
                 port.latency = port.guard.latency = latency
-                # The line may still hold the reply to the last request of the ended program.
-                port.guard.find_unused_id({device.id for device in port.devices}, port.highest)
+                port.guard.expect_late_replies()
             if len(self._ports) > 1:
                 self._pool = ThreadPoolExecutor(len(self._ports), "pliant-bus")
             self._silent = sequences.resume(
