@@ -52,10 +52,10 @@ impl ThermalModel {
         new_array(py, &[self.core.heat().len()], self.core.temperature())
     }
 
-    #[doc = stub!(ThermalModel.last_temperature)]
+    #[doc = stub!(ThermalModel.zero_torque_temperature)]
     #[getter]
-    fn last_temperature(&self) -> f64 {
-        self.core.last_temperature()
+    fn zero_torque_temperature(&self) -> f64 {
+        self.core.zero_torque_temperature()
     }
 
     #[doc = stub!(ThermalModel.set_temperature)]
