@@ -128,7 +128,7 @@ class Audit:
         """
         servo = self._servos[id]
         if "goal_current" in servo.table:
-            return register * servo.model.unit * servo.model.motor.torque_per_amp
+            return register * servo.model.current_unit * servo.model.motor.torque_per_amp
         full = {"dxl1": 1023, "sts": 1000, "x": 885}[servo.model.family]
         return servo.stall * register / full
 
