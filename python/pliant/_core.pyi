@@ -2995,8 +2995,9 @@ class ServoCodec:
     """Converts registers of servos to values of the joints (n,), and commands to registers.
 
     A position is accepted if it lies within ``2 v dt + 0.1 rad`` of the last accepted one, with the
-    joint's speed without load v [rad/s] and the time dt since that position [s]. dt does not grow
-    while implausible positions arrive. `configure` must be called for each servo.
+    joint's speed without load v [rad/s] and the time dt since that position [s]. After an
+    implausible position, only gaps of more than 0.1 s between readings count as part of dt.
+    `configure` must be called for each servo.
 
     Args:
         servos: Number of servos; those of one joint follow each other.
