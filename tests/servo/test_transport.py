@@ -69,7 +69,7 @@ def test_requests_and_valid_replies_are_those_of_rustypot(port):
     port.io.sync_write([3, 5], 42, [b"\1\2", b"\3\4"])
     while len(port.requests) < 3:
         time.sleep(0.001)
-    # Bytes from before are no part of the next reply.
+    # Bytes that arrived before the request are not part of its reply.
     os.write(port.pty.master, packet(9))
     time.sleep(0.05)
     port.reply = packet(3)

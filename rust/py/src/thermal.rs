@@ -25,7 +25,7 @@ impl ThermalModel {
 #[pymethods]
 impl ThermalModel {
     #[new]
-    #[expect(clippy::needless_pass_by_value, reason = "what PyO3 extracts it hands over")]
+    #[expect(clippy::needless_pass_by_value, reason = "PyO3 passes extracted arguments by value")]
     #[pyo3(signature = (max_torque, stall_current=None, *, continuous, seconds, supply, hottest))]
     fn new(
         max_torque: Vec<f64>,
