@@ -3193,8 +3193,8 @@ class CommandLimiter:
     ) -> tuple[_Array, _Array, _Array | None, _Array | None]:
         """Return goals [rad], torque limits [N m] and largest speeds [rad/s] (N,) to send.
 
-        Speeds of joints off the chain are inf; None without `velocity`. The last element are the
-        gravity torques (n,) [N m] at the present positions; None with `lead`.
+        The speeds of joints off the chain are inf; None without `velocity`. The last element is the
+        array of gravity torques (n,) [N m] at the present positions; None with `lead`.
 
         Args:
             goal: Requested goals (n,) [rad].

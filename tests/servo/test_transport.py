@@ -215,7 +215,7 @@ def test_status_is_read_with_the_position_where_registers_are_near(
             if status is not None:
                 seen_faults[status.name] = status
         transactions = servo_bus.counters["transactions"] - before
-        # Protocol 2.0 has the registers far apart: a request for the status in each cycle.
+        # In Protocol 2.0 the registers are far apart, so each cycle has a request for the status.
         assert transactions == pytest.approx(
             requests * (cycles - n), abs=0.4 * cycles if kind == "xm" else 0
         )
