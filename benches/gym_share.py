@@ -2,8 +2,8 @@
 
     python benches/gym_share.py
 
-Two equal environments with one thread run in turn: one as it is, of the other only the physics, arm
-by arm in the same order. The caches are as cold in both.
+Two equal environments with one thread run in turn: one completely, the other with the physics only,
+in the same order of arms. The caches are as cold in both.
 """
 
 from __future__ import annotations

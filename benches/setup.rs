@@ -41,7 +41,7 @@ pub(crate) fn states(model: &Model) -> Vec<(Vec<f64>, Pose)> {
     (0..STATES).map(|s| (at(s, 0.0), pose(&at(s, 0.05)))).collect()
 }
 
-/// Returns settings of law `paper`: fixed λ, printed projector, posture and limit cost, no gravity, no step limits.
+/// Returns settings of law `paper`: fixed λ, the paper's projector, posture and limit cost, no gravity, no step limits.
 pub(crate) fn paper() -> Settings {
     let endless = Axis { max_velocity: Some(f64::INFINITY), soft_step_limit: Some(f64::INFINITY), ..Axis::default() };
     let mut settings = Settings {

@@ -1,6 +1,6 @@
 //! Time of one control step on the bench arm; 64 states in turn, so that no result can be reused.
 //!
-//! `paper`: fixed λ, printed projector, posture and limit cost, no gravity, no step limits. `defaults`: law `cap` with
+//! `paper`: fixed λ, the projector as printed in the paper, posture and limit cost, no gravity, no step limits. `defaults`: law `cap` with
 //! default settings. The other benches show the time that an option adds.
 #![allow(clippy::expect_used, reason = "a bench that cannot be set up has nothing to say")]
 

@@ -321,9 +321,9 @@ class Rig:
         self.last = ticks[BLOCK - 1]
 
     def count(self) -> None:
-        """Count calls of functions per tick, and the largest memory that a tick holds [bytes].
+        """Count the function calls of each tick, and measure its peak memory [bytes].
 
-        The results are medians over a block. The wait for the deadline does not count.
+        The results are medians over a block of ticks, without the wait for the deadline.
         """
         ticks: list[dict[str, int]] = []
 

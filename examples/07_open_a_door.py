@@ -16,7 +16,7 @@ START = [-0.626, -0.418, 0.784, -1.194, 0.811, 0.468, -0.115]  # [rad]
 
 model = pliant.robots.arm7()
 
-# Second row of the picture: law of the paper, all axes stiff, full torque of every servo.
+# For comparison: law of the paper, all axes stiff, full torque of every servo.
 stiff = {"all": pliant.Axis(hold=1000.0)}
 variants = {
     "y and yaw compliant": pliant.Settings.door(),
@@ -34,7 +34,7 @@ for name, settings in variants.items():
     target = arm.tool
     for _ in range(round(SECONDS * arm.rate)):
         if 1.0 < arm.time < 6.6:
-            target[0, 3] -= 0.05 / arm.rate  # pull back at 0.05 m/s, 0.28 m in all
+            target[0, 3] -= 0.05 / arm.rate  # pull back at 0.05 m/s, by 0.28 m in all
         command = controller.step(arm.read().q, target)
         arm.write(command.goal, command.torque_limit)
         arm.advance()

@@ -73,7 +73,7 @@ def wire(model: str) -> float:
 def measure(family: str, cycles: int, *, is_timed: bool) -> Rate:
     """Measure `cycles` cycles that run as fast as possible.
 
-    The emulator runs in a separate process. `timed` is True if the emulator takes as long as the
+    The emulator runs in a separate process. `is_timed` is True if its replies take as long as the
     transmission on a real bus.
     """
     model = MODELS[family]

@@ -26,8 +26,7 @@ from pliant.robots import COUNT_12_BIT
 from pliant.sim import Plant
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-    from pathlib import Path
+    from collections.abc import Iterable, Sequence
 
     from numpy.typing import NDArray
 
@@ -39,9 +38,9 @@ if TYPE_CHECKING:
 RATE = 100.0
 #: Start and duration of a contact [s].
 CONTACT_START, CONTACT_DURATION = 0.7, 0.8
-#: Ranges of random contacts: stiffness [N/m] and speed [m/s] of the hand (log-uniform), largest
-#: force of the hand as a share of 0.45 times the arm's median static capacity
-#: (`Arm.median_capacity`), speed of the arm's target [m/s].
+#: Ranges of random contacts: stiffness [N/m] and speed [m/s] of the hand (log-uniform); largest
+#: force of the hand, divided by 0.45 times `Arm.median_capacity`, which is about the default
+#: `Axis.firm` [1]; speed of the arm's target [m/s].
 STIFFNESS, SPEED, FORCE, MOTION = (200.0, 20e3), (0.02, 0.25), (0.15, 0.9), (0.0, 0.15)
 #: Motion without contact: largest distance of each joint from a middle pose [rad], and range of the
 #: duration of a motion from point to point [s].
@@ -80,8 +79,8 @@ class Case:
 
     def options(self) -> dict[str, Any]:
         """Return the options of `pliant.ContactEstimator`, with the case's largest errors."""
-        known = {"kp_error": max(self.kp, 0.02), "gravity_error": 0.02, "load_error": 0.1}
-        return {"friction_error": max(self.friction, 0.05), **known, **self.estimator}
+        errors = {"kp_error": max(self.kp, 0.02), "gravity_error": 0.02, "load_error": 0.1}
+        return {"friction_error": max(self.friction, 0.05), **errors, **self.estimator}
 
 
 @dataclass(frozen=True)
@@ -123,9 +122,10 @@ class Bump:
             return no_torque, no_torque, position
         if self._met is None:
             self._met = position.copy()
-        deep = self.speed * (t - CONTACT_START) - float(self.direction @ (position - self._met))
+        shift = float(self.direction @ (position - self._met))
+        compression = self.speed * (t - CONTACT_START) - shift
         return (
-            min(max(self.stiffness * deep, 0.0), self.limit) * self.direction,
+            min(max(self.stiffness * compression, 0.0), self.limit) * self.direction,
             no_torque,
             position,
         )
@@ -201,16 +201,16 @@ class Bench:
         case, true = self.case, self.arm.servos
         n = self.arm.model.n
 
-        def off(share: float) -> Array:
+        def random_factors(share: float) -> Array:
             return rng.uniform(1.0 - share, 1.0 + share, n)
 
         count = COUNT_12_BIT if case.encoder else 0.0
         table = REAL_GEARS[case.arm].assumed(true) if case.identified else true
         # Keep the order of the random numbers (friction, damping, k_p): another order changes all
         # documented results.
-        assumed = scaled(table, off(case.friction), off(case.friction)).replace(
-            kp=off(case.kp) * np.asarray(table.kp), encoder_step=count
-        )
+        assumed = scaled(
+            table, random_factors(case.friction), random_factors(case.friction)
+        ).replace(kp=random_factors(case.kp) * np.asarray(table.kp), encoder_step=count)
         task, delay = " ".join(self.arm.axes), sum(case.delay) / RATE
         settings = pliant.Settings(task=task, rate=RATE, delay=delay)
         controller = pliant.Controller(self.arm.model, settings, assumed)
@@ -277,8 +277,10 @@ class _Path:
     def __call__(self, t: float) -> Array:
         if t >= self._end:
             self._begin, self._from = self._end, self._to
-            wish = self._middle + self._rng.uniform(-MOTION_RANGE, MOTION_RANGE, self._middle.size)
-            self._to = np.clip(wish, self._low, self._high)
+            random_q = self._middle + self._rng.uniform(
+                -MOTION_RANGE, MOTION_RANGE, self._middle.size
+            )
+            self._to = np.clip(random_q, self._low, self._high)
             self._end += self._rng.uniform(*SEGMENT_TIME)
             if self._rng.random() < REST_SHARE:
                 self._to, self._end = self._from, self._begin + 0.5

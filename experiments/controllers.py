@@ -348,12 +348,12 @@ class Impedance:
 
 
 def stiff_joints() -> FromModel:
-    """Return the factory of joint position control at full torque."""
+    """Return a factory of joint position control at full torque."""
     return JointPosition
 
 
 def uniform_limit(fraction: float) -> FromModel:
-    """Return the factory of joint position control with limits at a `fraction` of the torque."""
+    """Return a factory of joint position control with limits at a `fraction` of the torque."""
     return partial(JointPosition, fraction=fraction)
 
 
@@ -364,7 +364,7 @@ def torque_impedance(
     spring: float = 0.0,
     compensated: bool = False,
 ) -> FromModel:
-    """Return the factory of `Impedance` with a stiffness for torque control at 1 kHz.
+    """Return a factory of `Impedance`; the default stiffness suits torque control at 1 kHz.
 
     The arguments are those of `Impedance`.
     """
@@ -430,7 +430,7 @@ class Admittance:
     ) -> None:
         """Store arm, error model of the current sensors, and virtual body.
 
-        `soft` is the soft axis x, y or z; `seed` belongs to the noise of the sensors.
+        `soft` is the soft axis x, y or z; `seed` is the random seed of the sensor noise.
         """
         self._model, self._period, self._axis = model, period, AXES.index(soft)
         self._current, self._virtual = current, virtual
@@ -476,7 +476,7 @@ class Admittance:
 
 
 def by_current(*, spring: float = 0.0, soft: str = "y", noise: float = Current.noise) -> FromModel:
-    """Return the factory of `Admittance`, which estimates forces from motor currents.
+    """Return a factory of `Admittance`, which estimates forces from motor currents.
 
     Args:
         spring: Stiffness of the spring from the virtual body to the target [N/m].

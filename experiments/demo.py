@@ -129,7 +129,7 @@ def _subject(robot: str, urdf: Path | None, base: str | None, tip: str | None) -
 def missed(chapter: Chapter) -> list[str]:
     """Return a line of text for each statement of our study that failed in a chapter.
 
-    The line has the number of the chapter, the failed tests, and the known reason.
+    The line has the number of the chapter, the failed checks, and the known reason.
     """
     from experiments.report import Verdict
 
@@ -138,9 +138,10 @@ def missed(chapter: Chapter) -> list[str]:
         if statement.verdict is Verdict.AGREES:
             continue
         failed = [
-            f"{test.name} is {test.value:.3g}{test.unit and ' '}{test.unit}, band {_band(test)}"
-            for test in statement.tests
-            if not test.passed
+            f"{check.name} is {check.value:.3g}{check.unit and ' '}{check.unit}, "
+            f"band {_band(check)}"
+            for check in statement.checks
+            if not check.passed
         ]
         why = f"; {statement.because}" if statement.because else ""
         text = "; ".join(failed) or statement.outcome
@@ -148,13 +149,13 @@ def missed(chapter: Chapter) -> list[str]:
     return lines
 
 
-def _band(test: Check) -> str:
-    """Return the interval of a test as text."""
-    if math.isinf(test.low):
-        return f"up to {test.high:.3g}"
-    if math.isinf(test.high):
-        return f"from {test.low:.3g}"
-    return f"{test.low:.3g} to {test.high:.3g}"
+def _band(check: Check) -> str:
+    """Return the interval of a check as text."""
+    if math.isinf(check.low):
+        return f"up to {check.high:.3g}"
+    if math.isinf(check.high):
+        return f"from {check.low:.3g}"
+    return f"{check.low:.3g} to {check.high:.3g}"
 
 
 def _close(console: Console, demo: Demonstration) -> None:

@@ -209,15 +209,15 @@ def _write_results(
                         "source": s.source,
                         "verdict": s.verdict.value,
                         "outcome": s.outcome,
-                        "tests": [
+                        "checks": [
                             {
-                                "name": t.name,
-                                "value": t.value,
-                                "low": t.low,
-                                "high": t.high,
-                                "unit": t.unit,
+                                "name": check.name,
+                                "value": check.value,
+                                "low": check.low,
+                                "high": check.high,
+                                "unit": check.unit,
                             }
-                            for t in s.tests
+                            for check in s.checks
                         ],
                     }
                     for s in chapter.statements()

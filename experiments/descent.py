@@ -195,7 +195,7 @@ class HandResult:
         moved: Largest displacement of the tool [m].
         jerk: Largest speed of the tool [m/s].
         left: Displacement of the tool at the end [m].
-        seconds: Duration of torque on [s].
+        seconds: Duration of `Arm.enable` [s].
     """
 
     apart: float

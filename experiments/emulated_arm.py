@@ -95,7 +95,7 @@ def configuration(family: str, q: Array = VERTICAL) -> Config:
 def emulator(family: str, *, q: Array = VERTICAL, **options: Any) -> ArmEmulator:
     """Return the emulator of `arm7` with servos of a family in pose q (n,) [rad], not yet started.
 
-    By default it takes as long as transmission on a real bus; `options` are those of the emulator.
+    By default its replies take as long as on a real bus; `options` are those of the emulator.
     """
     return make_emulator(configuration(family, q), q=q, **{"timing": Timing(wire=True), **options})
 

@@ -395,7 +395,7 @@ class PeakRecorder:
     def _force_and_bound(self, count: int) -> tuple[float, float]:
         """Return the largest force of a hand and the bound on it [N], averaged over `TICK`.
 
-        The last physics step of the average had `count` steps.
+        `count` is the number of physics steps since the last call.
         """
         plant = self.bus.plant
         forces = np.array([hand.force for hand in plant.hands]).reshape(-1, 3)

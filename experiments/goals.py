@@ -23,8 +23,6 @@ from pliant.functional import PaperOptions
 from pliant.sim import DRAG_15N, DRAG_80N, TWIST_3NM
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from pliant.sim import Drag
 
 

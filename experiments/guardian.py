@@ -1,7 +1,7 @@
 """Endings of a program that cannot lower its arm: ``python -m experiments.guardian``.
 
 Emulated servos run in a process of their own, in real time. Another process enables the arm, and
-is ended at a random instant of a phase. Its guardian lowers the arm. The program prints the tables
+is ended at a random time in a phase. Its guardian lowers the arm. The program prints the tables
 of docs/descents.md: for each ending the time from it to the guardian's first goal, and what the
 arm did; then what the guardian costs.
 """
@@ -117,7 +117,14 @@ class Recorder:
         ]
 
     def summary(self, ended: float) -> dict[str, Any]:
-        """Return what happened after the program ended at `ended` on the monotonic clock [s]."""
+        """Return the behaviour of the arm since the program ended at `ended`, a monotonic time.
+
+        Keys: `had_torque`, True if torque was on after the ending; `has_torque`, True if it is on
+        now; `first_goal` and `takes`, times from the ending to the first new goal (None: none) and
+        to torque off [s]; `speed` and `falls`, largest speed of the tool with torque and without
+        [m/s]; `sags`, sag of the tool before the first goal [m]; `lowered`, descent of the tool
+        [m]; `registers`, texts of registers that were not restored.
+        """
         now, height, speed, torque = (np.array(column) for column in zip(*self._rows, strict=True))
         after = now > ended
         on = after & torque.astype(bool)
@@ -223,7 +230,7 @@ class Case:
         robot: Name of the built-in arm.
         phase: Phase in which the program ends, see `PHASES`.
         ending: One of `ENDINGS`.
-        seed: Number that determines instant and pose.
+        seed: Number that determines time and pose.
     """
 
     robot: str
@@ -233,29 +240,29 @@ class Case:
 
 
 def start(case: Case) -> tuple[list[float], float]:
-    """Return the initial pose (n,) [rad], and the instant of the ending in its phase [s]."""
+    """Return the initial pose (n,) [rad], and the time from the phase's start to the ending [s]."""
     rng = np.random.default_rng([case.seed, *case.phase.encode(), *case.ending.encode()])
     rest = np.array(load(case.robot).life.rest_q)
     q = rest + rng.uniform(0.3, 1.0) * (np.array(ARMS[case.robot]) - rest)
-    instant = PHASES[case.phase] * rng.uniform()
+    delay = PHASES[case.phase] * rng.uniform()
     # Torque comes on joint by joint in the first part of this phase.
-    return q.tolist(), instant**2 / PHASES[case.phase] if case.phase == "enabling" else instant
+    return q.tolist(), delay**2 / PHASES[case.phase] if case.phase == "enabling" else delay
 
 
 def run(case: Case) -> dict[str, Any]:
-    """Run a case; return the summary of the `Recorder`, and what is known of the processes.
+    """Run a case; return the summary of the `Recorder`, and values of the processes.
 
-    Keys beside those of the summary: `code`, the program's exit code; `said`, its messages and
-    those of the guardian; `memory`, the guardian's own memory [MB]; `guarded`, True if it ended.
+    Keys beside those of the summary: `code`, the program's exit code; `messages` of the program and
+    of the guardian; `memory`, the guardian's own memory [MB]; `guarded`, True if it ended.
     """
-    q, instant = start(case)
-    with tempfile.TemporaryFile("w+") as said, emulator(case.robot, q) as bus:
+    q, delay = start(case)
+    with tempfile.TemporaryFile("w+") as stderr, emulator(case.robot, q) as bus:
         call = f"victim({case.robot!r}, {bus.port!r}, {case.phase!r})"
         with subprocess.Popen(
             [sys.executable, "-c", f"from experiments.guardian import victim; {call}"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            stderr=said,
+            stderr=stderr,
             text=True,
             cwd=ROOT,
         ) as process:
@@ -264,12 +271,12 @@ def run(case: Case) -> dict[str, Any]:
                 assert process.stdout is not None
                 line = process.stdout.readline()
                 if not line:
-                    said.seek(0)
-                    raise RuntimeError(f"the program has ended before torque on: {said.read()}")
+                    stderr.seek(0)
+                    raise RuntimeError(f"the program has ended before torque on: {stderr.read()}")
                 guardian = int(line)
                 process.stdout.readline()
                 memory = own_memory(guardian)
-                time.sleep(instant)
+                time.sleep(delay)
                 ended = time.monotonic()
                 if case.ending in SIGNALS:
                     process.send_signal(getattr(signal, case.ending))
@@ -283,8 +290,8 @@ def run(case: Case) -> dict[str, Any]:
                 process.kill()
         time.sleep(AFTER)
         found: dict[str, Any] = bus.call("recorder.summary", ended)
-        said.seek(0)
-        beside = {"code": code, "said": said.read(), "memory": memory}
+        stderr.seek(0)
+        beside = {"code": code, "messages": stderr.read(), "memory": memory}
     return {**found, **beside, "guarded": not is_running(guardian)}
 
 
@@ -322,7 +329,7 @@ def main(
     Args:
         arm: Names of the arms; default: all of `ARMS`.
         ending: Names of the endings; default: all of `ENDINGS`.
-        instants: Number of instants of each ending, distributed over the phases.
+        instants: Number of runs of each ending, at random times in each of the phases in turn.
         jobs: Number of runs at a time.
         starts: Number of starts with and without a guardian.
     """
@@ -390,7 +397,10 @@ def violations(found: dict[str, Any]) -> list[str]:
 
 
 def cells(cases: list[Case], found: list[dict[str, Any]]) -> list[str]:
-    """Return a row of the table: the largest value and the median of the runs with torque."""
+    """Return a row of the table: maximum and median of each quantity over the runs with torque.
+
+    If no run had torque, over all runs.
+    """
     on = [run for run in found if run["had_torque"]] or found
     firsts = [run["first_goal"] for run in on if run["first_goal"] is not None]
     return [

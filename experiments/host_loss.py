@@ -122,7 +122,7 @@ class Bench:
         """Follow a moving target, stop the host, drag the tool along one axis; return the result.
 
         Args:
-            pose: Index of the pose; before a host loss in an odd one, a hand pushes the soft axis.
+            pose: Index of the pose. If it is odd, a hand pushes the soft axis before the host loss.
             axis: Name of the dragged axis.
             sign: Direction of the drag, 1 or -1.
         """

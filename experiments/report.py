@@ -38,11 +38,11 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class Check:
-    """Test of a measured number against the interval in which a claim is confirmed.
+    """Check that a measured number lies in the interval in which a claim is confirmed.
 
     Attributes:
         name: Name of the number.
-        value: Measured number; a non-finite number fails the test.
+        value: Measured number; a non-finite number fails.
         low, high: Bounds of the interval, inclusive.
         unit: Unit of value and bounds.
     """
@@ -66,21 +66,21 @@ class Statement:
     Attributes:
         claim: The claim in our words.
         outcome: Sentence with the numbers of the run.
-        tests: Tests of the numbers; the claim is confirmed if all pass.
+        checks: Checks of the numbers; the claim is confirmed if all pass.
         source: Source of the claim.
-        because: Known reason why a test may fail; shown only if one fails. "" if unknown.
+        because: Known reason why a check may fail; shown only if one fails. "" if unknown.
     """
 
     claim: str
     outcome: str
-    tests: tuple[Check, ...]
+    checks: tuple[Check, ...]
     source: Source = "paper"
     because: str = ""
 
     @property
     def verdict(self) -> Verdict:
-        """Verdict from the tests; if one fails, it depends on whether the reason is known."""
-        if self.tests and all(test.passed for test in self.tests):
+        """Verdict from the checks; if one fails, it depends on whether the reason is known."""
+        if self.checks and all(check.passed for check in self.checks):
             return Verdict.AGREES
         return Verdict.DIFFERS if self.because else Verdict.DISAGREES
 
@@ -150,7 +150,7 @@ def near(
     plus: float = 0.0,
     unit: str = "",
 ) -> Check:
-    """Return a test that a number differs from a reference by at most rel·|reference| + plus.
+    """Return a check that a number differs from a reference by at most rel·|reference| + plus.
 
     `name` and `unit` are those of `Check`.
     """
@@ -159,17 +159,17 @@ def near(
 
 
 def at_most(name: str, value: float, bound: float, unit: str = "") -> Check:
-    """Return a test that a number is not above a bound."""
+    """Return a check that a number is not above a bound."""
     return Check(name=name, value=value, high=bound, unit=unit)
 
 
 def at_least(name: str, value: float, bound: float, unit: str = "") -> Check:
-    """Return a test that a number is not below a bound."""
+    """Return a check that a number is not below a bound."""
     return Check(name=name, value=value, low=bound, unit=unit)
 
 
 def between(name: str, value: float, low: float, high: float, unit: str = "") -> Check:
-    """Return a test that a number lies within two bounds."""
+    """Return a check that a number lies within two bounds."""
     return Check(name=name, value=value, low=low, high=high, unit=unit)
 
 
@@ -318,7 +318,7 @@ def _statements(statements: Sequence[Statement]) -> str:
     for s in statements:
         because = f" {page.text(s.because)}" if s.verdict is Verdict.DIFFERS else ""
         source = "" if s.source == "paper" else '<span class="source">our band</span> '
-        checks = "; ".join(_test(test) for test in s.tests)
+        checks = "; ".join(_check_text(check) for check in s.checks)
         rows.append(
             f'<tr class="{CHIPS[s.verdict]}"><td>{source}{page.text(s.claim)}</td>'
             f"<td>{page.text(s.outcome)}</td>"
@@ -332,7 +332,7 @@ def _statements(statements: Sequence[Statement]) -> str:
     )
 
 
-def _test(test: Check) -> str:
-    low = f"{test.low:g} ≤ " if test.low > float("-inf") else ""
-    high = f" ≤ {test.high:g}" if test.high < float("inf") else ""
-    return f"{test.name}: {low}{test.value:.4g}{high} {test.unit}".strip()
+def _check_text(check: Check) -> str:
+    low = f"{check.low:g} ≤ " if check.low > float("-inf") else ""
+    high = f" ≤ {check.high:g}" if check.high < float("inf") else ""
+    return f"{check.name}: {low}{check.value:.4g}{high} {check.unit}".strip()

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from experiments.poses import Array
-    from pliant.sim import Fixture, Hand, Plant
+    from pliant.sim import Fixture, Hand
     from pliant.sim.friction import Friction
 
     #: Function of the time [s] that returns the target pose (4, 4).

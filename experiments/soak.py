@@ -128,7 +128,7 @@ class Audit:
         """
         servo = self._servos[id]
         if "goal_current" in servo.table:
-            return register * servo.model.unit * servo.model.motor.torque_per_amp
+            return register * servo.model.current_unit * servo.model.motor.torque_per_amp
         full = {"dxl1": 1023, "sts": 1000, "x": 885}[servo.model.family]
         return servo.stall * register / full
 
@@ -197,7 +197,7 @@ def limit_of(servo: Servo) -> str:
 SHARE = 0.01
 #: Amplitude [m] and period [s] of the target's motion along each axis.
 SWING, PERIODS = {"x": 0.04, "y": 0.06, "z": 0.04}, {"x": 3.1, "y": 4.3, "z": 3.7}
-#: Allowed relative difference between a torque limit by the emulator's and by the driver's data.
+#: Allowed relative difference of torque limits computed from the emulator's and the driver's data.
 STALL_TOLERANCE = 0.001
 #: Allowed distance of a reading from the true position [encoder counts]: half a count of rounding,
 #: half a count because emulator and driver assume ranges of 251° and 250.92° for the EX-106+, and a

@@ -1,7 +1,7 @@
-"""Experiments with wrong assumptions: the controller must not get the plant's true parameters.
+"""No controller of an experiment gets true parameters of the plant that it should not know.
 
-Each experiment, example or documented row runs up to its first physics step. Then its plant is
-compared with the inputs of its controller, arm or identification.
+Each experiment, example and row of a documented table runs up to its first physics step. Then its
+plant is compared with the inputs of its controller, arm or identification.
 """
 
 import runpy

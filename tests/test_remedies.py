@@ -178,7 +178,10 @@ def commands(text: str, _file: str) -> list[str]:
 
 
 def is_command(text: str) -> bool:
-    """Return True if a command exists with the flags and the first argument in this text."""
+    """Return True if a command exists with the flags and the first argument in this text.
+
+    Also True for a text that begins with a word of `NOT_COMMANDS`.
+    """
     command, arguments = command_of(text.split())
     if text.split(maxsplit=1)[0] in NOT_COMMANDS:
         return True

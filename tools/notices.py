@@ -20,7 +20,7 @@ standard library is used under Apache-2.0.
 
 
 class NoticeError(SystemExit):
-    """The crates cannot be listed, or one has no licence, or no text of it."""
+    """The crates cannot be listed, or one has no licence or no licence text."""
 
 
 def linked_crate_names() -> list[dict]:

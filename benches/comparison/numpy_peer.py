@@ -75,8 +75,9 @@ def law_of(arm: problem.Arm) -> Callable[[Array, Array, Array, Array], Pair]:
     joint goals [rad] and torque limits [N·m].
     """
     compliant = np.arange(6) == problem.YIELDS
-    pull = problem.GAIN * (1.0 - problem.ETA * compliant)
-    factor = pull / problem.GAIN
+    # Share of each axis' deviation that remains after the target has been adapted, 1 − η.
+    remaining = 1.0 - problem.ETA * compliant
+    gains = problem.GAIN * remaining
     width = problem.D_PLUS - problem.D_MINUS
     weights, middle, rest_q = arm.limit_weights, arm.middle, arm.rest
     e = np.empty(6)
@@ -98,11 +99,11 @@ def law_of(arm: problem.Arm) -> Callable[[Array, Array, Array, Array], Pair]:
         inverse = np.linalg.solve(gram, jacobian).T
         gradient = (q - rest_q) + weights * (q - middle)
         null = gradient - inverse @ (jacobian @ gradient)
-        goal = q + problem.HORIZON * (inverse @ (pull * e) - problem.ALPHA * null)
+        goal = q + problem.HORIZON * (inverse @ (gains * e) - problem.ALPHA * null)
         shares = np.abs(inverse)
         shares /= shares.sum(axis=0)
         null_share = np.abs(null)
-        c = np.minimum(np.maximum((problem.D_PLUS - np.abs(factor * e)) / width, 0.0), 1.0)
+        c = np.minimum(np.maximum((problem.D_PLUS - np.abs(remaining * e)) / width, 0.0), 1.0)
         strength = np.where(compliant, c * problem.SOFT + (1.0 - c) * problem.FIRM, problem.HOLD)
         return goal, shares @ strength + null_share * (problem.NULL / null_share.sum())
 

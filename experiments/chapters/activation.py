@@ -173,31 +173,33 @@ def _paper(share: Mapping[str, Array]) -> tuple[Statement, ...]:
             claim="In both poses, motion in x is the work of elbow and shoulder pitch.",
             outcome=f"Largest in x: {_top(x['vertical'], 2)} (vertical); "
             f"{_top(x['horizontal'], 2)} (horizontal).",
-            tests=tuple(at_least(f"{unit}, {pose}", _lead(x[pose], (0, 3)), 0.0) for pose in POSES),
+            checks=tuple(
+                at_least(f"{unit}, {pose}", _lead(x[pose], (0, 3)), 0.0) for pose in POSES
+            ),
         ),
         Statement(
             claim="Vertical grasp: the wrist pitch takes part in x.",
             outcome=f"It comes third: {_top(x['vertical'], 3)}.",
-            tests=(at_least(unit, _lead(x["vertical"], (5,), (0, 3)), 0.0),),
+            checks=(at_least(unit, _lead(x["vertical"], (5,), (0, 3)), 0.0),),
         ),
         Statement(
             claim="Horizontal grasp: the wrist roll takes that part.",
             outcome=f"{_top(x['horizontal'], 3).capitalize()}; the wrist pitch has "
             f"{x['horizontal'][5]:.2f}.",
-            tests=(at_least(unit, _lead(x["horizontal"], (6,), (0, 3)), 0.0),),
+            checks=(at_least(unit, _lead(x["horizontal"], (6,), (0, 3)), 0.0),),
         ),
         Statement(
             claim="Other joints of shoulder and wrist contribute less to x.",
             outcome=f"No other joint has more than {small:.2f}; elbow and shoulder pitch have at "
             f"least {min(column[[0, 3]].min() for column in x.values()):.2f}.",
-            tests=(
+            checks=(
                 at_most("largest other share", small, min(c[[0, 3]].min() for c in x.values())),
             ),
         ),
         Statement(
             claim="Vertical grasp: y is mostly shoulder roll, shoulder yaw and wrist yaw.",
             outcome=f"Largest in y: {_top(y['vertical'], 4)}.",
-            tests=(at_least(unit, _lead(y["vertical"], (1, 2, 4)), 0.0),),
+            checks=(at_least(unit, _lead(y["vertical"], (1, 2, 4)), 0.0),),
             because="the three are there, but the wrist pitch has as much "
             f"({y['vertical'][5]:.2f}); our lengths and wrist angles are not Cosero's.",
         ),
@@ -206,7 +208,7 @@ def _paper(share: Mapping[str, Array]) -> tuple[Statement, ...]:
             outcome=f"The elbow has {y['horizontal'][3]:.3f}, the others "
             f"{np.delete(y['horizontal'], 3).min():.2f} to "
             f"{np.delete(y['horizontal'], 3).max():.2f}.",
-            tests=(
+            checks=(
                 at_most("elbow", float(y["horizontal"][3]), 0.02),
                 at_least("least of the others", float(np.delete(y["horizontal"], 3).min()), 0.05),
             ),
@@ -215,12 +217,12 @@ def _paper(share: Mapping[str, Array]) -> tuple[Statement, ...]:
             claim="Yaw needs shoulder roll, wrist yaw and wrist roll (read: in the horizontal "
             "grasp).",
             outcome=f"Largest in yaw: {_top(yaw['horizontal'], 3)}.",
-            tests=(at_least(unit, _lead(yaw["horizontal"], (1, 4, 6)), 0.0),),
+            checks=(at_least(unit, _lead(yaw["horizontal"], (1, 4, 6)), 0.0),),
         ),
         Statement(
             claim="Vertical grasp: yaw is mostly shoulder roll and wrist pitch.",
             outcome=f"Largest in yaw: {_top(yaw['vertical'], 3)}.",
-            tests=(at_least(unit, _lead(yaw["vertical"], (1, 5)), 0.0),),
+            checks=(at_least(unit, _lead(yaw["vertical"], (1, 5)), 0.0),),
         ),
     )
 
@@ -230,7 +232,7 @@ def _study(worst: float) -> Statement:
         claim="An independent implementation gives the same two matrices, to the three digits it "
         "prints.",
         outcome=f"The largest difference of any of the 98 entries is {worst:.1e}.",
-        tests=(at_most("largest difference", worst, 1e-3),),
+        checks=(at_most("largest difference", worst, 1e-3),),
     )
 
 

@@ -69,14 +69,14 @@ def chapter(numbers: Numbers) -> Chapter:
         "joints' friction hides, in 97 of 100 cases.",
         outcome=f"{100.0 * arm7['kept_clear']:.1f} % of the cases on arm7; median error of all "
         f"{100.0 * arm7['median']:.1f} % of the cap.",
-        tests=(at_least("in band, clear of stops", 100.0 * arm7["kept_clear"], 97.0, "%"),),
+        checks=(at_least("in band, clear of stops", 100.0 * arm7["kept_clear"], 97.0, "%"),),
     )
     limits = band(
         claim="Forces outside the band come from position limits: with the force of the stop and "
         "the friction of the other joints they are in band.",
         outcome=f"{100.0 * arm7['kept']:.1f} % of all cases on arm7 are in band, "
         f"{100.0 * arm7['stopped']:.1f} % provably stopped by a position limit.",
-        tests=(
+        checks=(
             at_least("in band or stopped", 100.0 * (arm7["kept"] + arm7["stopped"]), 95.0, "%"),
         ),
     )

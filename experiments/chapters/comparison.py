@@ -45,7 +45,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from experiments.disturbances import DragResult, Law
-    from experiments.report import Numbers
     from experiments.simulation import Conditions, Trace
 
 
@@ -231,7 +230,7 @@ def _statements(numbers: Numbers) -> tuple[Statement, ...]:
             outcome=f"Law cap (η 0.999): {cap['force']:.1f} N and {mm(cap['drift'])} of drift; "
             f"torque impedance: {torque['force']:.1f} N and {mm(torque['drift'])}; stiff: "
             f"{stiff['force']:.1f} N and {mm(stiff['drift'])}.",
-            tests=(
+            checks=(
                 at_most("force over torque impedance", cap["force"] / torque["force"], 1.2),
                 at_most("drift", cap["drift"], 0.005, "m"),
             ),
@@ -241,7 +240,7 @@ def _statements(numbers: Numbers) -> tuple[Statement, ...]:
             "the stiff axes along about as far as simply turning all limits down does.",
             outcome=f"Drift {mm(literal['drift'])} with the paper's limits only, "
             f"{mm(uniform['drift'])} with 30 % of every limit.",
-            tests=(
+            checks=(
                 at_least("drift, limits only", literal["drift"], 0.05, "m"),
                 between("over uniform", literal["drift"] / uniform["drift"], 0.4, 4.0),
             ),
@@ -251,7 +250,7 @@ def _statements(numbers: Numbers) -> tuple[Statement, ...]:
             "gravity moves it once let go.",
             outcome=f"Paper, η 0.999: {paper['force']:.1f} N, drift {mm(paper['drift'])}; moves by "
             f"another {mm(paper['crept'])} after the release.",
-            tests=(
+            checks=(
                 at_most("force", paper["force"], 9.0, "N"),
                 at_most("drift", paper["drift"], 0.012, "m"),
                 at_least("moves after release", paper["crept"], 0.02, "m"),
@@ -262,7 +261,7 @@ def _statements(numbers: Numbers) -> tuple[Statement, ...]:
             "and the arm comes back.",
             outcome=f"Held with {firm['held']:.1f} N, drift {mm(firm['drift'])}; back within "
             f"{mm(RETURN_TOLERANCE[0])} after {seconds(firm['returned'])}.",
-            tests=(
+            checks=(
                 between("held", firm["held"], 11.5, 18.5, "N"),
                 at_most("drift", firm["drift"], 0.005, "m"),
                 at_most("left", firm["left"], 0.015, "m"),
@@ -428,7 +427,7 @@ def stress_statements(numbers: Numbers) -> tuple[Statement, ...]:
             f"{cap['stall_speed']:.1f} rad/s; admittance {current['stall_force']:.1f} N, "
             f"{current['stall_speed']:.1f} rad/s; stiff {stiff['stall_force']:.1f} N; torque "
             f"impedance {torque['stall_force']:.1f} N.",
-            tests=(
+            checks=(
                 at_most("cap over admittance", cap["stall_force"] / current["stall_force"], 0.8),
                 at_most("speed, cap over stiff", cap["stall_speed"] / stiff["stall_speed"], 0.5),
             ),
@@ -439,7 +438,7 @@ def stress_statements(numbers: Numbers) -> tuple[Statement, ...]:
             outcome=f"Tight gears: cap {cap['tight_force']:.1f} N, {mm(cap['tight_drift'])}; "
             f"admittance {current['tight_force']:.1f} N, {mm(current['tight_drift'])}; torque "
             f"impedance {torque['tight_force']:.1f} N, {mm(torque['tight_drift'])}.",
-            tests=(
+            checks=(
                 at_least("more force", cap["tight_force"] / cap["force"], 1.0),
                 at_most("drift", cap["tight_drift"], 0.005, "m"),
             ),

@@ -26,7 +26,6 @@ from pliant.sim import Plant
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
     from pathlib import Path
-    from typing import Any
 
     from numpy.typing import NDArray
 
@@ -259,7 +258,7 @@ def _follows(opening: Numbers) -> Statement:
         claim="Compliant in lateral motion and yaw, the hand follows the handle round its circle.",
         outcome=f"The door opens by {soft['angle']:.1f}°; with all axes stiff by "
         f"{hard['angle']:.1f}°.",
-        tests=(
+        checks=(
             at_least("angle", soft["angle"], BANDS["door"][0][0], "deg"),
             at_most("angle, all stiff", hard["angle"], STUCK, "deg"),
         ),
@@ -279,7 +278,7 @@ def _against_stiff(opening: Numbers, grips: list[str]) -> Statement:
     return band(
         claim="Against all axes stiff the force at the handle is at most half.",
         outcome=f"{listed(parts)}.",
-        tests=tuple(at_least(f"ratio, {grip}", ratio, 2.0) for grip, ratio in ratios.items()),
+        checks=tuple(at_least(f"ratio, {grip}", ratio, 2.0) for grip, ratio in ratios.items()),
     )
 
 
@@ -297,7 +296,7 @@ def _paper_law(opening: Numbers) -> tuple[Statement, ...]:
             claim="The paper's own law opens the door.",
             outcome=f"With a handle that cannot turn in the hand it gets to {rigid['angle']:.1f}° "
             f"at {rigid['force']:.1f} N{freer}.",
-            tests=(
+            checks=(
                 at_least("angle, rigid grip", rigid["angle"], 60.0, "deg"),
                 *(
                     (at_least("angle, turning grip", turning["angle"], 60.0, "deg"),)
@@ -320,15 +319,15 @@ def _all_open(opening: Numbers) -> Statement:
         claim="Doors and fridges open, with vertical and with horizontal handles, the robot moving "
         "back.",
         outcome=f"{scenes}: all {len(angles)} runs open, the least by {worst:.1f}°.",
-        tests=(at_least("least angle", worst, 57.0, "deg"),),
+        checks=(at_least("least angle", worst, 57.0, "deg"),),
     )
 
 
 def _scene_bands(opening: Numbers) -> tuple[Statement, ...]:
-    tests, texts = [], []
+    checks, texts = [], []
     for scene, grip, run in _all(opening, "cap"):
         angle, force = BANDS[scene][grip == "turning"]
-        tests += [
+        checks += [
             at_least(f"{scene}, {grip}: angle", run["angle"], angle, "deg"),
             at_most(f"{scene}, {grip}: force", run["force"], force, "N"),
         ]
@@ -339,18 +338,18 @@ def _scene_bands(opening: Numbers) -> tuple[Statement, ...]:
             claim="Law cap reaches the angles and forces of the study in every scene and with both "
             "grips.",
             outcome=f"Rigid grip: {'; '.join(texts)}.",
-            tests=tuple(tests),
+            checks=tuple(checks),
         ),
     )
 
 
 def _ends(both: Numbers) -> Statement:
-    tests, texts, forces = [], [], []
+    checks, texts, forces = [], [], []
     for scene, grip, run in _all(both, "cap"):
         ends = run["ends"]
         first = ends[0] if ends else float("nan")
         second = ends[1] if len(ends) > 1 else float("nan")
-        tests += [
+        checks += [
             between(
                 f"{scene}, {grip}: open", first, STOP - END_TOLERANCE, STOP + END_TOLERANCE, "deg"
             ),
@@ -358,12 +357,12 @@ def _ends(both: Numbers) -> Statement:
         ]
         texts.append(f"{first:.1f}°/{second:.1f}°")
         forces.append(run["force"])
-    tests.append(at_most("peak force", max(forces), 65.0, "N"))
+    checks.append(at_most("peak force", max(forces), 65.0, "N"))
     return Statement(
         claim="The end of both motions is recognised by resistance.",
         outcome=f"Recognised at (open/closed) {listed(texts)}; at most {max(forces):.0f} N at the "
         "handle.",
-        tests=tuple(tests),
+        checks=tuple(checks),
     )
 
 
@@ -377,7 +376,7 @@ def _stiff_ends(both: Numbers) -> tuple[Statement, ...]:
         band(
             claim="All stiff and rigidly gripped, the arm takes its own resistance for the end.",
             outcome=f"It believes the door open at {text}.",
-            tests=(at_most("angle", first, 20.0, "deg"),),
+            checks=(at_most("angle", first, 20.0, "deg"),),
         ),
     )
 

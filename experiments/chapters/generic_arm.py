@@ -408,7 +408,7 @@ class ActivationChapter:
                 band(
                     claim="The shares of each axis sum to one.",
                     outcome=f"They do within {sums:.0e}. Largest share: {leads}.",
-                    tests=(at_most("error of a sum", float(sums), 1e-9),),
+                    checks=(at_most("error of a sum", float(sums), 1e-9),),
                 ),
             ),
         )
@@ -463,7 +463,7 @@ class TrackingChapter:
                     claim="It follows with an rms error below a tenth of the amplitude.",
                     outcome=f"{numbers['share']:.3f} of the amplitude; other positions within "
                     f"{mm(numbers['others'])}.",
-                    tests=(at_most("rms error / amplitude", numbers["share"], 0.10),),
+                    checks=(at_most("rms error / amplitude", numbers["share"], 0.10),),
                     because="the softest strength is not far above what friction takes; a firmer "
                     "axis tracks better.",
                 ),
@@ -533,7 +533,7 @@ class CapChapter:
                     "joints' friction.",
                     outcome=f"{numbers['kept']} of {numbers['pushes']} ({share:.0%}); median error "
                     f"{numbers['median_error']:.1%} of the cap.",
-                    tests=(
+                    checks=(
                         at_least("share kept", share, 0.92),
                         at_least("pushes", numbers["pushes"], 1.0),
                     ),
@@ -670,14 +670,14 @@ class DragChapter:
                     claim="At rest the tool stays within 5 mm of its target.",
                     outcome=f"All stiff: {mm(stiff['before'])} off; soft, η = 0.999: "
                     f"{mm(follow['before'])}.",
-                    tests=(at_most("off", max(stiff["before"], follow["before"]), 0.005, "m"),),
+                    checks=(at_most("off", max(stiff["before"], follow["before"]), 0.005, "m"),),
                     because="dry friction of the gears holds the arm against a small error.",
                 ),
                 band(
                     claim="A soft axis follows a hand for less than half the force of a stiff one.",
                     outcome=f"{follow['force']:.2f} N instead of {stiff['force']:.2f} N for "
                     f"{mm(follow['moved'])}.",
-                    tests=(at_most("share", follow["force"] / stiff["force"], 0.5),),
+                    checks=(at_most("share", follow["force"] / stiff["force"], 0.5),),
                     because="friction that is not fed forward and the arm's inertia are most of "
                     "what the hand feels.",
                 ),
@@ -686,7 +686,7 @@ class DragChapter:
                     "than on a stiff arm.",
                     outcome=f"{mm(follow['drift'])} of {mm(numbers['way'])}; {mm(stiff['drift'])} "
                     "when all is stiff.",
-                    tests=(
+                    checks=(
                         at_most("drift over way", follow["drift"] / numbers["way"], 0.15),
                         at_most(
                             "drift over stiff", follow["drift"] / max(stiff["drift"], 1e-6), 1.0
@@ -700,7 +700,7 @@ class DragChapter:
                     "deviation, within 15 % and friction, and returns.",
                     outcome=f"{firm['held']:.2f} N of {firm['promised']:.2f} N; {mm(firm['left'])} "
                     "from the target 4 s after the release.",
-                    tests=(
+                    checks=(
                         near(
                             "held",
                             firm["held"],
@@ -715,7 +715,7 @@ class DragChapter:
                 band(
                     claim="η = 0.999: the released arm stays where it is.",
                     outcome=f"It moves by {mm(follow['crept'])} in the next 4 s.",
-                    tests=(at_most("moves", follow["crept"], 0.015, "m"),),
+                    checks=(at_most("moves", follow["crept"], 0.015, "m"),),
                 ),
             ),
         )

@@ -248,14 +248,14 @@ def _paper(axis: str, law: Numbers) -> tuple[Statement, ...]:
         Statement(
             claim="η = 0: the tool gives way only by a fraction of d⁺.",
             outcome=f"It moves by {span(of, eta0, 'moved')}, with d⁺ = {of(end)}.",
-            tests=(between("moved", worst(eta0, "moved"), fade / 2, end),),
+            checks=(between("moved", worst(eta0, "moved"), fade / 2, end),),
         ),
         Statement(
             claim="η = 0: compliance falls with the deviation, the limits rise, and the arm "
             "resists.",
             outcome=f"c falls to {span('{:.2f}'.format, eta0, 'least_c')} while the hand pulls "
             f"with up to {worst(eta0, 'force'):.1f} {_unit(axis)}.",
-            tests=(at_most("smallest c", worst(eta0, "least_c"), 0.95),),
+            checks=(at_most("smallest c", worst(eta0, "least_c"), 0.95),),
         ),
         Statement(
             claim="η = 0: other axes deviate too; with strong adaptation they stay near their "
@@ -263,7 +263,7 @@ def _paper(axis: str, law: Numbers) -> tuple[Statement, ...]:
             outcome=f"The hand drags other positions by {mm(worst(eta0, 'drift'))} at η = 0 for "
             f"{of(least(eta0, 'moved'))} of {axis}, and by {mm(worst(full, 'drift'))} at η = 0.999 "
             f"for {of(least(full, 'moved'))}; the servos' own sag under gravity is not counted.",
-            tests=(
+            checks=(
                 at_least(
                     "deviation per motion, η 0 over η 0.999", ratio[0] / max(ratio[1], 1e-9), 1.5
                 ),
@@ -273,7 +273,7 @@ def _paper(axis: str, law: Numbers) -> tuple[Statement, ...]:
             claim="η = 0.999: the tool follows the hand all the way.",
             outcome=f"It moves by {of(least(full, 'moved'))} of {of(PULL[axis])}, against at most "
             f"{worst(full, 'force'):.1f} {_unit(axis)}; at η = 0.9 by {of(least(eta09, 'moved'))}.",
-            tests=(at_least("moved", least(full, "moved"), 0.9 * PULL[axis]),),
+            checks=(at_least("moved", least(full, "moved"), 0.9 * PULL[axis]),),
         ),
         Statement(
             claim="Let go, the tool moves back to its target slowly (η = 0 and 0.9).",
@@ -282,7 +282,7 @@ def _paper(axis: str, law: Numbers) -> tuple[Statement, ...]:
             f"{of(worst(eta09, 'left'))} being left; the fastest return goes at "
             f"{max(worst(eta0, 'return_speed'), worst(eta09, 'return_speed')):.2f} "
             f"{_unit(axis, 'speed')}.",
-            tests=(
+            checks=(
                 at_most(
                     "deviation left",
                     max(worst(eta0, "left"), worst(eta09, "left")),
@@ -302,7 +302,7 @@ def _paper(axis: str, law: Numbers) -> tuple[Statement, ...]:
             f"and ends {of(worst(full, 'left'))} from its target, moving at "
             f"{1e3 * worst(full, 'still_moving'):.1f} m{_unit(axis, 'speed')}; before the push it "
             f"had already drifted by {of(worst(full, 'before'))}.",
-            tests=(
+            checks=(
                 at_least(
                     "motion after release",
                     worst(full, "crept"),
@@ -356,7 +356,7 @@ def _study(axis: str, law: Numbers) -> tuple[Statement, ...]:
             f"positions within {mm(bands[2])}, and stays where it is left.",
             outcome=f"{worst(full, 'force'):.2f} {_unit(axis)}, {mm(worst(full, 'position'))}; "
             f"moves by {of(worst(full, 'crept'))} after the hand has gone.",
-            tests=(
+            checks=(
                 at_least("moved", least(full, "moved"), bands[0]),
                 at_most("force", worst(full, "force"), bands[1]),
                 at_most("other positions", worst(full, "position"), bands[2]),
@@ -372,7 +372,7 @@ def _study(axis: str, law: Numbers) -> tuple[Statement, ...]:
                 "15 mm.",
                 outcome=f"Moves by {of(least(eta09, 'moved'))} for {worst(eta09, 'force'):.1f} N; "
                 f"after the release back within 15 mm after {return_times(axis, eta09)}.",
-                tests=(
+                checks=(
                     at_least("moved", least(eta09, "moved"), 0.2),
                     at_most("force", worst(eta09, "force"), 13.0),
                     at_most("left", worst(eta09, "left"), 0.015),

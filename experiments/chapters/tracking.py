@@ -157,7 +157,7 @@ def _follows(numbers: Numbers, axes: list[str]) -> tuple[Statement, ...]:
                 claim=f"{axis}: follows very well.",
                 outcome=f"The rms error is {share:.3f} of the amplitude; {remainder:.3f} without "
                 "its constant part.",
-                tests=(at_most("rms error / amplitude", share, WELL),),
+                checks=(at_most("rms error / amplitude", share, WELL),),
                 because="the constant sag of servos without a gravity model is most of the error; "
                 "what swings is followed."
                 if remainder <= WELL
@@ -176,7 +176,7 @@ def _bands(numbers: Numbers, axes: list[str]) -> tuple[Statement, ...]:
         band(
             claim="Law cap follows within its bands and keeps the other positions.",
             outcome=f"Rms error / amplitude {shares}; other positions within {mm(others)}.",
-            tests=(
+            checks=(
                 *(at_most(f"{axis}", cap[axis]["share"], CAP_BANDS[axis]) for axis in axes),
                 at_most("other positions", others, limit, "m"),
             ),
@@ -191,7 +191,7 @@ def _bands(numbers: Numbers, axes: list[str]) -> tuple[Statement, ...]:
                 claim="The paper's law with a gravity model follows within 0.035 and keeps the "
                 "other positions to 5 mm.",
                 outcome=f"At worst {worst:.3f}; other positions within {mm(others)}.",
-                tests=(
+                checks=(
                     at_most("worst", worst, 0.035),
                     at_most("other positions", others, 0.005, "m"),
                 ),
@@ -218,7 +218,7 @@ def _loss(numbers: Numbers) -> Figure:
                 claim="Far forward, z is lost downwards.",
                 outcome=f"{mm(literal['sunk'])} lower at x = {literal['x_when_lowest']:.2f} m; "
                 f"{mm(with_steps['sunk'])} with step limits per axis.",
-                tests=(
+                checks=(
                     between("z lost", literal["sunk"], 0.035, 0.140, "m"),
                     at_least("x", literal["x_when_lowest"], 0.40, "m"),
                 ),
@@ -227,12 +227,12 @@ def _loss(numbers: Numbers) -> Figure:
                 claim="Compliance in x drops with it.",
                 outcome=f"c falls to {literal['least_c']:.2f} ({literal['c_when_lowest']:.2f} "
                 "where the tool is lowest).",
-                tests=(at_most("least c", literal["least_c"], 0.9),),
+                checks=(at_most("least c", literal["least_c"], 0.9),),
             ),
             Statement(
                 claim="z recovers.",
                 outcome=f"{mm(literal['left'])} are left when the tool comes back toward the body.",
-                tests=(
+                checks=(
                     at_most("left", literal["left"], 0.040, "m"),
                     at_most("left over lost", literal["left"] / literal["sunk"], 0.8),
                 ),
@@ -240,7 +240,7 @@ def _loss(numbers: Numbers) -> Figure:
             band(
                 claim="With gravity in goals and limits nothing is lost.",
                 outcome=f"Law cap loses {mm(max(cap['sunk'], 0.0))} at most.",
-                tests=(at_most("z lost", cap["sunk"], 0.007, "m"),),
+                checks=(at_most("z lost", cap["sunk"], 0.007, "m"),),
             ),
         ),
     )

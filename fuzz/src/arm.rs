@@ -8,7 +8,7 @@ use pliant_core::kinematics::ArmPoints;
 use pliant_core::{Command, HandGuiding, JointFollower, Lowering, Result, ThermalModel};
 
 use super::arms::{ARMS, Arm, arm};
-use super::checks::{assert_named, assert_sendable, bits};
+use super::checks::{assert_explained, assert_sendable, bits};
 use super::input::Input;
 
 /// Maximum number of ticks in one run.
@@ -42,7 +42,7 @@ fn lowering(input: &mut Input, arm: &Arm) {
     let points = Arc::new(ArmPoints::new(&arm.model, &arm.servos.armature).unwrap());
     let mut lowering = match Lowering::new(Arc::clone(&arm.model), &arm.servos, points, &start) {
         Ok(lowering) => lowering,
-        Err(error) => return assert_named(&error),
+        Err(error) => return assert_explained(&error),
     };
     let mut q = arm.q.clone();
     for _ in 0..TICKS {
@@ -62,9 +62,9 @@ fn lowering(input: &mut Input, arm: &Arm) {
             }
             Ok(None) => return,
             Err(error) => {
-                assert_named(&error);
+                assert_explained(&error);
                 let next = |mut lowering: Lowering| {
-                    lowering.step(&arm.q, &vec![true; n], 0.01, 0.0).map(|command| command.map(|it| bits(&it)))
+                    lowering.step(&arm.q, &vec![true; n], 0.01, 0.0).map(|command| command.as_ref().map(bits))
                 };
                 assert_eq!(next(lowering.clone()), next(before), "the descent has changed after: {error}");
             }
@@ -87,7 +87,7 @@ fn hand_guiding(input: &mut Input, arm: &Arm) {
     };
     match HandGuiding::new(Arc::clone(&arm.model), &arm.servos, &damping, &swing, options) {
         Ok(guiding) => follow(input, arm, guiding, |guiding, q, _, dt| guiding.step(q, dt)),
-        Err(error) => assert_named(&error),
+        Err(error) => assert_explained(&error),
     }
 }
 
@@ -99,7 +99,7 @@ fn joint_follower(input: &mut Input, arm: &Arm) {
     };
     match JointFollower::new(Arc::clone(&arm.model), &arm.servos, options) {
         Ok(follower) => follow(input, arm, follower, JointFollower::step),
-        Err(error) => assert_named(&error),
+        Err(error) => assert_explained(&error),
     }
 }
 
@@ -123,7 +123,7 @@ fn follow<T: Clone>(
                 q = measured;
             }
             Err(error) => {
-                assert_named(&error);
+                assert_explained(&error);
                 let next = |mut law: T| step(&mut law, &arm.q, &arm.q, 0.01).map(|command| bits(&command));
                 assert_eq!(next(law.clone()), next(before), "the state has changed after: {error}");
             }
@@ -142,7 +142,7 @@ fn thermal(input: &mut Input, arm: &Arm) {
     let current = input.option(|input| input.vector(&vec![3.0; n]));
     let mut model = match ThermalModel::new(options, &arm.servos.max_torque, current.as_deref()) {
         Ok(model) => model,
-        Err(error) => return assert_named(&error),
+        Err(error) => return assert_explained(&error),
     };
     for _ in 0..TICKS {
         if input.is_empty() {
@@ -155,7 +155,7 @@ fn thermal(input: &mut Input, arm: &Arm) {
         model.torque_ceiling(&mut limit);
         let least = vec![0.1; n];
         model.limit_current(&torque, &least, &mut limit);
-        let within = limit.iter().zip(&arm.servos.max_torque).all(|(limit, most)| (0.0..=*most).contains(limit));
+        let within = limit.iter().zip(&arm.servos.max_torque).all(|(limit, largest)| (0.0..=*largest).contains(limit));
         assert!(within, "{limit:?}, {model:?}");
     }
 }

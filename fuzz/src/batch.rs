@@ -6,7 +6,7 @@ use pliant_core::{
 };
 
 use super::arms::{Arm, CONTROLLERS, controller};
-use super::checks::{assert_named, ceiling};
+use super::checks::{assert_explained, ceiling};
 use super::input::Input;
 use super::step::pose;
 
@@ -149,7 +149,7 @@ fn run_with_state(
             true
         }
         Err(error) => {
-            assert_named(&error);
+            assert_explained(&error);
             assert!(results.iter().any(Result::is_err), "every separate controller accepts its row: {error}");
             let late = error.to_string().contains("not finite: nothing was sent");
             assert!(late || bits_of(state) == bits_of(&before), "the state has changed after: {error}");
@@ -195,7 +195,7 @@ fn run_without_state(controller: &Controller, rows: &Rows, n: usize, count: usiz
                 }
             }
         }
-        Err(error) => assert_named(&error),
+        Err(error) => assert_explained(&error),
     }
 }
 
@@ -220,6 +220,6 @@ fn run_with_damaged_state(input: &mut Input, controller: &Controller, state: &Ba
                 assert!(sendable || goal.iter().all(|goal| goal.is_nan()), "row {row}: {goal:?} {limit:?}");
             }
         }
-        Err(error) => assert_named(&error),
+        Err(error) => assert_explained(&error),
     }
 }

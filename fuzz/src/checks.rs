@@ -6,7 +6,7 @@ use pliant_core::{Command, Controller, Error};
 pub const TOLERANCE: f64 = 1e-11;
 
 /// Panics unless the error has a subject and a short explanation.
-pub fn assert_named(error: &Error) {
+pub fn assert_explained(error: &Error) {
     let (what, rest) = match error {
         Error::Urdf { source_name, message, .. } => (source_name, message.clone()),
         Error::FrameNotFound { frame, available } => (frame, format!("{available:?}")),
@@ -15,7 +15,7 @@ pub fn assert_named(error: &Error) {
         Error::Config { key, message } => (key, message.clone()),
         other => panic!("unknown kind of error: {other}"),
     };
-    assert!(!what.trim().is_empty() || matches!(error, Error::FrameNotFound { .. }), "nothing is named: {error:?}");
+    assert!(!what.trim().is_empty() || matches!(error, Error::FrameNotFound { .. }), "no subject: {error:?}");
     assert!(rest.len() > 2, "no explanation: {error:?}");
     assert!(error.to_string().len() < 20_000, "a message of {} bytes", error.to_string().len());
 }

@@ -3,7 +3,7 @@
 use pliant_core::{ContactEstimator, ContactInput, ContactOptions, StepInput, WrenchEstimate};
 
 use super::arms::{CONTROLLERS, controller};
-use super::checks::assert_named;
+use super::checks::assert_explained;
 use super::input::Input;
 
 /// Maximum number of readings in one run.
@@ -31,7 +31,7 @@ pub fn run(data: &[u8]) {
     };
     let mut estimator = match ContactEstimator::new(&controller, options) {
         Ok(estimator) => estimator,
-        Err(error) => return assert_named(&error),
+        Err(error) => return assert_explained(&error),
     };
     for _ in 0..READINGS {
         if input.is_empty() {
@@ -52,12 +52,12 @@ pub fn run(data: &[u8]) {
         match estimator.update(&controller, &q, &reading) {
             Ok(estimate) => assert_finite(estimate),
             Err(error) => {
-                assert_named(&error);
+                assert_explained(&error);
                 assert_eq!(format!("{before:?}"), format!("{:?}", estimator.estimate()), "changed after: {error}");
             }
         }
         match present >> 6 {
-            1 => drop(estimator.tare().map_err(|error| assert_named(&error))),
+            1 => drop(estimator.tare().map_err(|error| assert_explained(&error))),
             2 => estimator.clear_tare(),
             3 => estimator.reset(),
             _ => {}

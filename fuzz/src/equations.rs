@@ -6,7 +6,7 @@ use pliant_core::{
     null_space_projector, pose_error, responsibility,
 };
 
-use super::checks::assert_named;
+use super::checks::assert_explained;
 use super::input::Input;
 use super::step::pose;
 
@@ -46,7 +46,7 @@ fn checked(what: &str, result: pliant_core::Result<DMatrix<f64>>) -> Option<DMat
             Some(values)
         }
         Err(error) => {
-            assert_named(&error);
+            assert_explained(&error);
             None
         }
     }
@@ -67,7 +67,7 @@ fn chain(input: &mut Input) {
     assert!(a.iter().all(|share| (0.0..=1.0 + 1e-9).contains(share)), "{a}");
     match joint_torque_limits(&a, &input.vector(&vec![2.0; k + 1])) {
         Ok(limits) => assert!(limits.iter().all(|limit| limit.is_finite()), "{limits}"),
-        Err(error) => assert_named(&error),
+        Err(error) => assert_explained(&error),
     }
 }
 
@@ -79,7 +79,7 @@ fn arbitrary(input: &mut Input) {
     if let Some(a) = checked("A", activation(&inverse, &projector, Some(&gradient))) {
         match joint_torque_limits(&a, &input.vector(&vec![2.0; k + 1])) {
             Ok(limits) => assert!(limits.iter().all(|limit| limit.is_finite()), "{limits}"),
-            Err(error) => assert_named(&error),
+            Err(error) => assert_explained(&error),
         }
     }
 }
@@ -95,10 +95,10 @@ fn lists(input: &mut Input) {
             assert!(c.iter().all(|c| (0.0..=1.0).contains(c)), "{c:?}");
             match holding_torque(&c, &soft, &firm, &hold, &compliant) {
                 Ok(torque) => assert!(torque.iter().all(|torque| torque.is_finite()), "{torque:?}"),
-                Err(error) => assert_named(&error),
+                Err(error) => assert_explained(&error),
             }
         }
-        Err(error) => assert_named(&error),
+        Err(error) => assert_explained(&error),
     }
 }
 
@@ -107,12 +107,12 @@ fn poses(input: &mut Input) {
     let position = std::array::from_fn(|_| input.number(0.2));
     let target = match Pose::from_rotation_vector(position, rotation) {
         Ok(pose) => pose,
-        Err(error) => return assert_named(&error),
+        Err(error) => return assert_explained(&error),
     };
     let actual = pose(input, &target);
     match adapt_target(&actual, &target, input.number(0.5), std::array::from_fn(|_| input.flag())) {
         Ok(pose) => assert!(pose.validate().is_ok(), "{pose:?}"),
-        Err(error) => assert_named(&error),
+        Err(error) => assert_explained(&error),
     }
     match pose_error(&actual, &target) {
         Ok(error) => {
@@ -120,6 +120,6 @@ fn poses(input: &mut Input) {
             let turn: f64 = error[3..].iter().map(|value| value * value).sum::<f64>().sqrt();
             assert!(turn <= std::f64::consts::PI + 1e-9, "{error:?}");
         }
-        Err(error) => assert_named(&error),
+        Err(error) => assert_explained(&error),
     }
 }

@@ -9,7 +9,7 @@ use pliant_core::params::{
 use pliant_core::{Controller, LimitType, Payload, Servos, Settings, Snapshot, StepInput};
 
 use super::arms::{ARMS, Arm, arm};
-use super::checks::{assert_named, assert_sendable, bits, ceiling};
+use super::checks::{assert_explained, assert_sendable, bits, ceiling};
 use super::input::Input;
 
 /// Creates a controller, steps it before and after an update of its settings, and continues from a changed snapshot.
@@ -21,14 +21,14 @@ pub fn run(data: &[u8]) {
     let servos = (!input.flag()).then(|| servos(&mut input, &arm.servos));
     let mut controller = match Controller::new(Arc::clone(&arm.model), settings, servos) {
         Ok(controller) => controller,
-        Err(error) => return assert_named(&error),
+        Err(error) => return assert_explained(&error),
     };
     steps(&mut controller, arm);
     let untouched = controller.clone();
     if input.flag()
         && let Err(error) = controller.update(self::settings(&mut input, n))
     {
-        assert_named(&error);
+        assert_explained(&error);
         let (mut one, mut other) = (controller.clone(), untouched);
         let next = |controller: &mut Controller| controller.step(&arm.q, &arm.target, &StepInput::default()).map(bits);
         assert_eq!(next(&mut one), next(&mut other), "the controller has changed after: {error}");
@@ -39,7 +39,7 @@ pub fn run(data: &[u8]) {
         let (settings, servos) = (controller.settings().clone(), controller.servos().cloned());
         match Controller::from_snapshot(Arc::clone(&arm.model), settings, servos, &snapshot) {
             Ok(mut resumed) => steps(&mut resumed, arm),
-            Err(error) => assert_named(&error),
+            Err(error) => assert_explained(&error),
         }
     }
 }
@@ -49,7 +49,7 @@ fn steps(controller: &mut Controller, arm: &Arm) {
     for _ in 0..3 {
         match controller.step(&arm.q, &arm.target, &StepInput::default()) {
             Ok(command) => assert_sendable(command, &ceiling),
-            Err(error) => assert_named(&error),
+            Err(error) => assert_explained(&error),
         }
     }
 }

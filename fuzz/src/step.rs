@@ -5,7 +5,7 @@ use pliant_core::params::CompliantSide;
 use pliant_core::{Controller, Error, Law, Payload, Pose, Result, SimdLevel, StepInput};
 
 use super::arms::{CONTROLLERS, controller};
-use super::checks::{assert_named, assert_near, assert_sendable, bits, ceiling};
+use super::checks::{assert_explained, assert_near, assert_sendable, bits, ceiling};
 use super::input::Input;
 
 /// Maximum number of calls in one run.
@@ -156,7 +156,7 @@ pub fn run(data: &[u8]) {
         let before = controller.clone();
         let result = call.apply(&mut controller);
         if let Err(error) = &result {
-            assert_named(error);
+            assert_explained(error);
             assert_same_next(&controller, &before, &arm.q, &arm.target, error);
         } else if let (true, Some(command)) = (call.is_step(), controller.last_command()) {
             assert_sendable(command, &ceiling);

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use pliant_core::kinematics::Reference;
 use pliant_core::{Controller, Model, ModelOptions, Servos, Settings, StepInput};
 
-use super::checks::{assert_named, assert_sendable};
+use super::checks::{assert_explained, assert_sendable};
 use super::memory::peak;
 
 /// Bound on the memory use: bytes per byte of text, plus a constant number of bytes.
@@ -21,7 +21,7 @@ pub fn run(data: &[u8]) {
         assert!(bytes <= CONSTANT_BYTES + BYTES_PER_BYTE * text.len(), "{bytes} bytes for a text of {}", text.len());
         match result {
             Ok(model) => use_model(model),
-            Err(error) => assert_named(&error),
+            Err(error) => assert_explained(&error),
         }
     }
 }
@@ -45,8 +45,8 @@ fn use_model(model: Model) {
     match Controller::new(Arc::new(model), Settings::default(), Some(servos)) {
         Ok(mut controller) => match controller.step(&q, &target, &StepInput::default()) {
             Ok(command) => assert_sendable(command, &vec![60.0; n]),
-            Err(error) => assert_named(&error),
+            Err(error) => assert_explained(&error),
         },
-        Err(error) => assert_named(&error),
+        Err(error) => assert_explained(&error),
     }
 }

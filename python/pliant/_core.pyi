@@ -1282,8 +1282,8 @@ class PaperOptions:
         gravity_use: Places in which the gravity model is used if `Settings.gravity` is True.
         gravity_scale: Factor on the gravity torques in the torque limits.
         friction_speed: Speed at which the friction feed-forward saturates [rad/s].
-        direction_band: Half-width of the band in which an axis that yields to one side switches
-            sides, as a share of `soft_until`; None: 0.1, under law paper 0.
+        direction_band: Half-width of a band around deviation zero in which an axis blends between
+            the parameters of its sides, as a share of `soft_until`; None: 0.1, law paper 0.
         raw_deviation: Compute the compliance from the raw instead of the adapted deviation.
         budget_on_goal: Law paper: clamp the step of each axis to its budget.
         lead_limit: Law paper: largest lead goal - q [rad]; None: the lead that the torque limit
@@ -1695,7 +1695,7 @@ class AxisReport:
 
     @property
     def hold(self) -> float:
-        """Strength of sides that do not yield [N, N m]."""
+        """Largest force against pushes to which the axis does not yield [N, N m]."""
 
     @property
     def default_hold(self) -> float | None:
@@ -2924,10 +2924,11 @@ class PositionFilter:
 
     A position is accepted if it was read in this cycle, is finite, and lies within
     ``2 v_max dt + 0.2 rad`` of the joint's last accepted position. v_max is the largest speed of
-    the joint [rad/s], dt the time since that position [s]. dt does not grow while implausible
-    positions arrive: a lasting jump of an encoder thus stays rejected. The filter also catches late
-    replies of earlier cycles if the position has changed much since then; some servo protocols have
-    no sequence numbers to detect such replies.
+    the joint [rad/s], dt the time since that position [s]. After an implausible position, only gaps
+    of more than 0.1 s between readings count as part of dt: a lasting jump of an encoder thus stays
+    rejected. The first position of a joint is always accepted. The filter also catches late replies
+    of earlier cycles if the position has changed much since then; some servo protocols have no
+    sequence numbers to detect such replies.
 
     Args:
         max_speed: Largest speeds of the joints (N,) [rad/s].
@@ -2943,7 +2944,7 @@ class PositionFilter:
 
     @property
     def time(self) -> _Array:
-        """Times at which these positions were sampled (N,) [s]; -inf before the first."""
+        """Sample times of the last accepted positions (N,) [s]; -inf before the first."""
 
     @property
     def accepted(self) -> NDArray[np.bool_]:
@@ -2951,7 +2952,7 @@ class PositionFilter:
 
     @property
     def jumps(self) -> int:
-        """Number of positions rejected so far because they were too far from the last one."""
+        """Number of positions rejected so far, as too far from the last accepted one."""
 
     def update(
         self, position: ArrayLike, ok: NDArray[np.bool_], time: ArrayLike
@@ -2995,8 +2996,9 @@ class ServoCodec:
     """Converts registers of servos to values of the joints (n,), and commands to registers.
 
     A position is accepted if it lies within ``2 v dt + 0.1 rad`` of the last accepted one, with the
-    joint's speed without load v [rad/s] and the time dt since that position [s]. dt does not grow
-    while implausible positions arrive. `configure` must be called for each servo.
+    joint's speed without load v [rad/s] and the time dt since that position [s]. After an
+    implausible position, only gaps of more than 0.1 s between readings count as part of dt.
+    `configure` must be called for each servo.
 
     Args:
         servos: Number of servos; those of one joint follow each other.
@@ -3245,8 +3247,8 @@ class CommandLimiter:
     ) -> tuple[_Array, _Array, _Array | None, _Array | None]:
         """Return goals [rad], torque limits [N m] and largest speeds [rad/s] (N,) to send.
 
-        Speeds of joints off the chain are inf; None without `velocity`. The last element are the
-        gravity torques (n,) [N m] at the present positions; None with `lead`.
+        The speeds of joints off the chain are inf; None without `velocity`. The last element is the
+        array of gravity torques (n,) [N m] at the present positions; None with `lead`.
 
         Args:
             goal: Requested goals (n,) [rad].
@@ -3343,18 +3345,18 @@ class ThermalModel:
     ) -> ThermalModel: ...
     @property
     def heat(self) -> _Array:
-        """Share of the thermal budget in use (N,); 1 in steady state at continuous torque."""
+        """Used share of the thermal budget (N,); 1 in steady state at the continuous torque."""
 
     @property
     def temperature(self) -> _Array:
-        """Last known temperatures (N,) [deg C]; NaN where unknown."""
+        """Last measured temperatures (N,) [deg C]; NaN before the first measurement."""
 
     @property
-    def last_temperature(self) -> float:
-        """Temperature at which a torque limit reaches zero [deg C]."""
+    def zero_torque_temperature(self) -> float:
+        """Temperature at which the torque limit of a servo becomes zero [deg C]."""
 
     def is_too_hot(self, max_heat: float) -> bool:
-        """Return True if a servo has a heat above `max_heat`, or at least `last_temperature`."""
+        """Return True for a heat above `max_heat`, or a temperature at which a limit is zero."""
 
     def set_temperature(self, servo: int, temperature: float) -> None:
         """Store the measured temperature of a servo [deg C]; an index beyond N is ignored."""

@@ -104,7 +104,7 @@ def test_invalid_commands_are_not_sent(make, grasp):
         arm.leave_enabled()
 
 
-def test_an_exception_lowers_and_stays_the_error(make):
+def test_an_exception_lowers_the_arm_and_is_raised_again(make):
     arm = make()
     with pytest.raises(ZeroDivisionError), arm:
         _ = 1 / 0
@@ -118,7 +118,7 @@ def test_an_exception_lowers_and_stays_the_error(make):
     assert np.abs(plant.dq).max() < 0.1
 
 
-def test_hold_leaves_torque_on(make, grasp):
+def test_leave_enabled_leaves_torque_on(make, grasp):
     with make() as arm:
         arm.leave_enabled()
     assert arm.drive.enabled.all()
@@ -130,7 +130,7 @@ def test_hold_leaves_torque_on(make, grasp):
     assert arm.drive.enabled.all()
 
 
-def test_limp_is_torque_off_at_once(make):
+def test_disable_torque_switches_off_at_once(make):
     with make() as arm:
         before = arm.clock.now()
         arm.disable_torque()
@@ -179,7 +179,7 @@ def test_joints_that_do_not_answer_are_named_before_torque_goes_on(make):
 
 
 @pytest.mark.parametrize(("direction", "is_accepted"), [(0.05, True), (-0.05, True), (0.5, False)])
-def test_a_joint_measured_outside_its_limits_gets_no_torque(make, grasp, direction, is_accepted):
+def test_a_joint_far_outside_its_limits_gets_no_torque(make, grasp, direction, is_accepted):
     arm = make()
     original, model = arm.drive.read, arm.model
     low, high = model.lower[3], model.upper[3]

@@ -29,7 +29,7 @@ def test_a_hot_servo_gets_less_then_none():
     it.set_temperature(0, 64.0)
     it.set_temperature(1, 69.0)
     assert it.torque_ceiling() == pytest.approx([5.0, 0.0])
-    assert "b has 69" in thermal_faults(it, ("a", "b"))[0]
+    assert "b is at 69" in thermal_faults(it, ("a", "b"))[0]
 
 
 def test_the_supply_is_shared_above_the_weight():

@@ -229,7 +229,7 @@ def test_fifty_poses_of_every_arm(arm, number, over):
 
 @pytest.mark.parametrize("arm", ["so101", "koch"])
 def test_torque_on_survives_a_computer_that_stalls(arm, monkeypatch):
-    # The assumptions are true here: what disturbs is the time. Poles for the mean period, without
+    # All assumptions are true; only the periods are irregular. Poles for the mean period, without
     # bounds on the torque, shook these arms at 0.8 to 3.1 m/s.
     emulated, chance = descent.make_emulator, random.Random(1)
 
@@ -259,7 +259,7 @@ def test_torque_on_survives_a_computer_that_stalls(arm, monkeypatch):
 
 
 def test_an_adapter_that_delays_replies_delays_the_descent_little(monkeypatch):
-    # Goals that move by four times the lead in each tick oscillate until the longest descent.
+    # Goals that move by four times the lead in each tick would oscillate for the whole descent.
     seconds = {}
     for latency in (0.001, 0.016):
         timing = Timing(wire=True, usb_latency=latency)

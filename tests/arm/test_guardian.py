@@ -29,7 +29,7 @@ from pliant.config.factory import make_emulator
 from pliant.emulator import emulate
 
 full = pytest.mark.full
-#: Endings of a program in each of its phases, and the seed of instant and pose.
+#: Robot, phase and ending of a program, and the random seed of time and pose.
 CASES = [
     ("running", "SIGKILL", 0),
     ("enabling", "SIGKILL", 1),
@@ -55,9 +55,9 @@ def test_the_arm_is_lowered_within_its_bounds(phase, ending, seed):
     if ending in {"SIGHUP", "exhausted memory"}:
         # Python may still lower the arm itself.
         return
-    assert "was lowered: torque OFF" in outcome["said"]
+    assert "was lowered: torque OFF" in outcome["messages"]
     reason = {"SIGSTOP": "was stopped for", "held lock": "was silent for"}
-    assert f"the program {reason.get(ending, 'has ended')}" in outcome["said"]
+    assert f"the program {reason.get(ending, 'has ended')}" in outcome["messages"]
     assert outcome["code"] < 0
 
 

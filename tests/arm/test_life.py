@@ -141,7 +141,10 @@ class Life(RuleBasedStateMachine):
         self.during = []
 
     def foresee(self, arrivals):
-        """Predict the result of a descent in which signals come: exception, torque on or off."""
+        """Return the exception class of a descent with signals, and True if torque stays on.
+
+        The class is None if the descent raises nothing.
+        """
         time, last, interrupts, kind = self.time, self.last, 0, None
         for number, gap in arrivals:
             time += gap

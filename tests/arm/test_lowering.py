@@ -229,7 +229,7 @@ def test_a_stall_of_the_lowering_itself_moves_the_goal_no_further_than_a_tick(mo
 
 
 def saturated(model, q):
-    """Return goals and limits of joints whose leads are twice as large as their limits allow."""
+    """Return goals and limits with leads about twice as large as the limits allow."""
     weight = model.gravity(q)
     lead = 2.0 * weight / np.asarray(model.servos.kp) + 0.03 * np.sign(weight)
     return q + lead, np.abs(weight) + 0.5 * np.asarray(model.servos.friction)

@@ -1,4 +1,10 @@
-"""Schedules of a program, its watchdog thread, signals, SIGKILL and the guardian.
+"""An arm with torque always has an owner that will lower it, in every order of its threads.
+
+A schedule is one order in which the lines of program, watchdog thread and guardian process run,
+with signals, bus faults, stalls and SIGKILL in between; a plan determines it. In each schedule, the
+tests check these invariants: while torque is on, the program or a guardian owns the arm, unless the
+user left it enabled; only the owner uses the bus; no command of the program follows the beginning
+of a descent; torque goes off only when the arm rests.
 
 The tested code of the arm is the real one. Threads, locks, clocks and the pipe to the guardian are
 those of `schedules`; servos, the law of the descent and the transfer of weight are stand-ins with
@@ -48,28 +54,36 @@ SERVOS = pliant.Servos(kp=np.full(MODEL.n, 20.0), max_torque=np.full(MODEL.n, 1.
 #: Torque limit that only the program commands [N·m], and one that only the descent commands.
 PROGRAM_LIMIT, DESCENT_LIMIT = 0.123, 0.05
 #: Duration of a descent [periods].
-HEIGHT = 3
+DESCENT_PERIODS = 3
 INT, TERM, HUP = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
 
 
 @pytest.fixture(autouse=True)
 def switch_interval():
-    """Restore the interpreter's switch interval: plans abandon threads that have changed it."""
+    """Restore the interpreter's switch interval: threads of killed programs do not restore it."""
     interval = sys.getswitchinterval()
     yield
     sys.setswitchinterval(interval)
 
 
 class Servos:
-    """Servos that keep goals, limits and torque after the end of the program."""
+    """Servos that keep goals, limits and torque after the end of the program.
+
+    Attributes:
+        on: True if torque is on.
+        is_descending: True from the beginning of a descent until torque on.
+        periods_left: Periods of a descent until the arm rests.
+        port: Drive that has the port open; None if it is closed.
+        faults: Number of accesses that will fail.
+    """
 
     def __init__(self, world):
-        self.world, self.height = world, HEIGHT
+        self.world, self.periods_left = world, DESCENT_PERIODS
         self.on, self.is_descending = False, False
         self.port, self.faults = None, 0
 
     def check(self, drive, description):
-        """Check before an access that no other task uses the arm."""
+        """Count a step, and check that the current task may use the bus; fail for a bus fault."""
         world = self.world
         world.scheduler.retrace()
         world.scheduler.step()
@@ -145,7 +159,7 @@ class ServoDrive:
 
     def enable(self, goal, limit):
         self.hardware.check(self, "enable")
-        self.hardware.on, self.hardware.height = True, HEIGHT
+        self.hardware.on, self.hardware.periods_left = True, DESCENT_PERIODS
         self.hardware.is_descending = False
 
     def write(self, goal, limit, velocity=None):
@@ -154,18 +168,18 @@ class ServoDrive:
         if limit[0] == PROGRAM_LIMIT and hardware.is_descending:
             hardware.world.fail("a command of the program after the descent began")
         if limit[0] == DESCENT_LIMIT:
-            hardware.height = max(hardware.height - 1, 0)
+            hardware.periods_left = max(hardware.periods_left - 1, 0)
 
     def disable(self, names):
         hardware = self.hardware
         hardware.check(self, "disable")
-        if hardware.on and hardware.height > 0:
-            hardware.world.fail(f"torque off {hardware.height} periods above the table")
+        if hardware.on and hardware.periods_left > 0:
+            hardware.world.fail(f"torque off {hardware.periods_left} periods before the arm rests")
         hardware.on = False
 
 
 class Descent:
-    """Stand-in for `Lowering`: the arm rests after `HEIGHT` periods."""
+    """Stand-in for `Lowering`: the arm rests after `DESCENT_PERIODS`."""
 
     blind, phase = False, "down"
     world: World
@@ -175,7 +189,7 @@ class Descent:
         self._hardware.is_descending = True
 
     def step(self, q, ok, dt, age):
-        if self._hardware.height == 0:
+        if self._hardware.periods_left == 0:
             return None
         limit = np.full(MODEL.n, DESCENT_LIMIT)
         return SimpleNamespace(goal=np.zeros(MODEL.n), torque_limit=limit, speed_limit=None)
@@ -214,7 +228,7 @@ class Exits:
 
 
 class World:
-    """Program with an arm that runs by a schedule, with or without a guardian.
+    """Program with an arm, run in the order of a plan, with or without a guardian.
 
     Args:
         patch: The fixture `monkeypatch`, which puts the stand-ins into modules.
@@ -236,15 +250,15 @@ class World:
         return "program" in self.scheduler.ended
 
     def may_stay_on(self):
-        """Return True if a user asked for torque to stay on."""
+        """Return True if the user asked for torque to stay on."""
         return (
             self.scheduler.delivered.count(INT) >= 2
-            or self.left
+            or self.is_left_enabled
             or self._on_exit == "leave_enabled"
         )
 
     def state(self):
-        """Return the state of the arm, and its owner."""
+        """Return the state of the arm and its owner, as in docs/lifecycle.md."""
         arm, hardware = self.arm, self.hardware
         if not hardware.on:
             return "off", "none"
@@ -256,7 +270,7 @@ class World:
             if arm._supervisor.heartbeat[1] == arm_module.ENABLE_TIME:
                 return "enabling", "program"
             return ("lowering" if hardware.is_descending else "on"), "program"
-        if not any(g.is_watching and not g.has_rested for g in self.guards):
+        if not any(g.is_watching and not g.has_rested for g in self.guardians):
             return "left on", "user"
         if self.has_ended or arm._is_unfinished or hardware.port is None:
             return "not lowered", "guardian"
@@ -264,7 +278,7 @@ class World:
         return self.states[-1]
 
     def check(self):
-        """Check that a joint with torque has an owner."""
+        """Record the state of the arm; check that an arm with torque has an owner."""
         arm = self.arm
         state = self.state()
         if self.states[-1:] != [state]:
@@ -274,20 +288,20 @@ class World:
             return
         if not self.has_ended and arm.enabled:
             return
-        if any(guard.is_watching for guard in self.guards):
+        if any(guard.is_watching for guard in self.guardians):
             return
-        if self.guards or not self.is_excused():
+        if self.guardians or not self.needs_guardian():
             self.fail("torque is on, and neither program nor guardian owns the arm")
 
     @property
     def is_lowered(self):
-        return self.hardware.height == 0 and not self.hardware.on
+        return self.hardware.periods_left == 0 and not self.hardware.on
 
-    def is_excused(self):
-        """Return True if torque may stay on, because only a guardian could lower the arm."""
+    def needs_guardian(self):
+        """Return True if only a guardian could lower the arm: after SIGKILL or a long bus fault."""
         kinds = {kind for kind, _ in self.scheduler.plan.actions.values()}
-        is_told = any("was not lowered" in text for text in self.messages.texts)
-        return "kill" in kinds or ("call" in kinds and is_told)
+        is_reported = any("was not lowered" in text for text in self.messages.texts)
+        return "kill" in kinds or ("call" in kinds and is_reported)
 
     def run(self, plan):
         """Run the program by a plan; return the number of steps.
@@ -297,7 +311,7 @@ class World:
         """
         self.scheduler = scheduler = Scheduler(plan, FILES, self.check)
         self.hardware, self.messages, self.exits = Servos(self), Messages(), Exits()
-        self.guards, self.left = [], False
+        self.guardians, self.is_left_enabled = [], False
         self._put_stand_ins()
         before = {number: signal.getsignal(number) for number in _signals.HANDLED}
         signal.signal(INT, signal.default_int_handler)
@@ -321,8 +335,8 @@ class World:
                 signal.signal(number, handler)
             _signals._REGISTRY.__init__()
             _guardian._running.clear()
-        is_excused = self.may_stay_on() or (not self.guards and self.is_excused())
-        assert not self.hardware.on or is_excused, f"torque is on: {self.messages.texts}"
+        may_be_on = self.may_stay_on() or (not self.guardians and self.needs_guardian())
+        assert not self.hardware.on or may_be_on, f"torque is on: {self.messages.texts}"
         return scheduler.steps
 
     def _live(self):
@@ -386,7 +400,7 @@ class World:
             def kill(self):
                 scheduler.end("program")
 
-        class Guard(_guardian.Guardian):
+        class ScheduledGuardian(_guardian.Guardian):
             def __init__(self):
                 self._line, guardian_end = Pipe.pair(scheduler, "program", "guardian")
                 heartbeat = memoryview(bytearray(16)).cast("d")
@@ -407,7 +421,7 @@ class World:
                 self._supervisor, supervisor.heartbeat = supervisor, heartbeat
                 self._drive = None
                 _guardian._running.add(self)
-                world.guards.append(self)
+                world.guardians.append(self)
 
             @property
             def has_rested(self):
@@ -418,7 +432,7 @@ class World:
                 is_alive = not (self._task.is_done or self._task.is_killed)
                 return is_alive and (self._drive is not None or world.has_ended)
 
-        return Guard()
+        return ScheduledGuardian()
 
 
 def command():
@@ -426,7 +440,7 @@ def command():
 
 
 def ticks(world, arm, count, stall):
-    """Run a loop that stalls for `stall` [s] in its second tick."""
+    """Run a loop of `count` ticks that stalls for `stall` [s] in its second tick."""
     for tick in pliant.Loop(arm, rate=20.0, duration=0.05 * count):
         tick.write(command())
         world.ending = world.scheduler.steps
@@ -459,10 +473,10 @@ def hand_back(world, arm, stall):
     """Leave the arm enabled, take it over again, and lower it."""
     with arm:
         ticks(world, arm, 2, stall)
-        world.left = True
+        world.is_left_enabled = True
         arm.leave_enabled()
         arm.enable()
-        world.left = False
+        world.is_left_enabled = False
     arm.close()
 
 
@@ -473,12 +487,18 @@ def end_at_once(world, arm, stall):
 
 
 PROGRAMS = (with_block, calls, again, hand_back, end_at_once)
-#: Durations of a stall [s]: none; until about the watchdog time; into the descent; beyond it.
+#: Durations of a stall [s]: none; until the watchdog thread may lower the arm; into the descent;
+#: beyond its end.
 STALLS = (0.0, 0.35, 0.4, 1.0)
 
 
 class Case:
-    """A program with its options, and the number of steps of its undisturbed run."""
+    """A program with its options.
+
+    Attributes:
+        steps: Number of steps of an undisturbed run.
+        ending: Step of that run at the program's last command, before its ending.
+    """
 
     def __init__(self, patch, program, stall, guardian, on_exit="lower"):
         self.name = f"{program.__name__}, stall {stall}, guardian {guardian}, {on_exit}"
@@ -495,7 +515,7 @@ class Case:
         assert world.is_lowered or on_exit == "leave_enabled", self.name
 
     def run(self, actions):
-        """Run with the actions of a plan."""
+        """Run the program with actions (kind, value) by step, and check the invariants."""
         world = self._make()
         plan = Plan({step: self._action(world, *action) for step, action in actions.items()})
         try:
@@ -532,10 +552,10 @@ def random_actions(rng, case):
     return actions
 
 
-def run_at_random(failures, runs, first=0):
+def run_at_random(all_cases, runs, first=0):
     for seed in range(first, first + runs):
         rng = random.Random(seed)
-        case = rng.choice(failures)
+        case = rng.choice(all_cases)
         case.run(random_actions(rng, case))
 
 
@@ -579,7 +599,7 @@ def unlocked(self, *, at_once=False):
 #: Faults that replace an attribute of the code, and the program whose ending detects them; None:
 #: random schedules detect them.
 MUTANTS = {
-    "signals raise at the begin of `close`": (_signals.Signals, "hold", lambda _: None, None),
+    "signals raise at the beginning of `close`": (_signals.Signals, "hold", lambda _: None, None),
     "the lock is not taken for a descent": (
         _supervisor.Supervisor,
         "exclusive",
@@ -592,13 +612,13 @@ MUTANTS = {
         lambda self: self._guardian and self._guardian.rest(),
         None,
     ),
-    "the end of the program is told to the arm once": (
+    "only the last exit handler is kept": (
         Exits,
         "register",
         lambda self, function: self.functions.__setitem__(slice(None), [function]),
         end_at_once,
     ),
-    "a descent is not told to the signal handlers": (
+    "the signal handlers do not know of a descent": (
         _signals.Signals,
         "begin",
         lambda *_: None,
@@ -610,11 +630,11 @@ MUTANTS = {
 @pytest.mark.parametrize("name", MUTANTS)
 def test_schedules_find_a_seeded_fault(monkeypatch, name):
     owner, attribute, replacement, program = MUTANTS[name]
-    failures = list(cases(monkeypatch)) if program is None else []
+    all_cases = list(cases(monkeypatch)) if program is None else []
     case = None if program is None else Case(monkeypatch, program, 0.0, guardian=False)
     monkeypatch.setattr(owner, attribute, replacement)
     with pytest.raises(AssertionError):
-        run_at_random(failures, 4000) if case is None else interrupt_ending(case)
+        run_at_random(all_cases, 4000) if case is None else interrupt_ending(case)
 
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "lifecycle.md").read_text(encoding="utf-8")
@@ -664,9 +684,9 @@ class Story:
             world.scheduler.check()
             self._at = len(world.states) - 1
         elif event.endswith("()"):
-            world.left |= event == "leave_enabled()"
+            world.is_left_enabled |= event == "leave_enabled()"
             if event == "disable_torque()":
-                world.hardware.height = 0
+                world.hardware.periods_left = 0
             getattr(arm, event.removesuffix("()"))()
         else:
             number = INT if event.startswith("Ctrl-C") else TERM
@@ -678,13 +698,13 @@ class Story:
 
     def _again(self):
         """Press Ctrl-C again, after the time in which repeated signals count as one."""
-        self.world.hardware.height = 100
+        self.world.hardware.periods_left = 100
         self.world.scheduler.wait(deadline=self.world.scheduler.now + 1.0)
         self.world.scheduler.pending.append(INT)
 
     def _live(self, world, arm):
         def watch(state):
-            is_late = state != "lowering" or world.hardware.height < HEIGHT
+            is_late = state != "lowering" or world.hardware.periods_left < DESCENT_PERIODS
             if state == self._state and is_late:
                 self._happen(arm)
 
@@ -696,7 +716,7 @@ class Story:
         if self._state != "off":
             arm.enable()
         if self._state == "left on":
-            world.left = True
+            world.is_left_enabled = True
             arm.leave_enabled()
         if self._state == "not lowered":
             world.hardware.faults = 85

@@ -122,10 +122,10 @@ def test_a_damper_is_quiet():
 
 
 def test_well_damped_servos_bear_more_than_their_own_stiffness():
-    """An SO-101 whose damping is 0.12 s times k_p allows a stiffness ratio ρ of 2.2.
+    """An SO-101, with a damping of 0.12 s times k_p, allows 2.2 times its servos' own stiffness.
 
-    The loop runs at 100 Hz with one tick of delay for reading and for writing; other arms then
-    allow 1.2.
+    The loop runs at 100 Hz with one tick of delay for reading and one for writing; other arms then
+    allow 1.2 times.
     """
     arm, q = robots.load("so101"), np.array([0.2, -0.3, 0.3, 0.9, 0.0])
     rows = arm.jacobian(q)[:3]

@@ -1,4 +1,4 @@
-"""Commands on an emulated bus: no imports between ticks, and complete files after Ctrl-C."""
+"""Commands in their own process: no imports between ticks, and complete files after a signal."""
 
 import json
 import os
@@ -19,16 +19,18 @@ pytest.importorskip("rustypot")
 import pliant
 from pliant.teach import Motion
 
+#: Program that runs a command and prints its exit code and the modules that were imported between
+#: two ticks. After each tick it executes the statement `{each}`.
 PROGRAM = """
 import json, os, signal, sys
 import pliant.cli, pliant.loop, pliant.teach.teacher
 signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
 turns, loaded = pliant.loop.Loop._turns, set()
-start, recorded = pliant.teach.teacher.Teacher.start, []
+start, ticks_recorded = pliant.teach.teacher.Teacher.start, []
 
 def started(self):
-    recorded.append(1)
+    ticks_recorded.append(1)
     start(self)
 
 pliant.teach.teacher.Teacher.start = started
@@ -58,7 +60,10 @@ def run_alone(*arguments):
 
 @pytest.fixture
 def command(tmp_path):
-    """Return a function that runs a command on an emulated SO-101 that keeps its torque at exit."""
+    """Return a function that runs a command on an emulated SO-101 that keeps its torque at exit.
+
+    It returns exit code, modules imported between ticks, and the ended process.
+    """
     arm = left_enabled(tmp_path)
 
     def run(name, *flags, statement="pass", backend="emulator"):
@@ -102,8 +107,8 @@ def test_nothing_is_loaded_between_two_ticks(command, tmp_path, name):
 def test_a_recording_outlives_ctrl_c(command, tmp_path):
     file = tmp_path / "m.json"
     statement = (
-        "recorded and (recorded.append(1), "
-        "len(recorded) == 300 and os.kill(os.getpid(), signal.SIGINT))"
+        "ticks_recorded and (ticks_recorded.append(1), "
+        "len(ticks_recorded) == 300 and os.kill(os.getpid(), signal.SIGINT))"
     )
     code, _, result = command(
         "teach", str(file), "--scripted-hand", statement=statement, backend="sim"
@@ -126,7 +131,7 @@ def test_a_run_that_a_signal_ends_has_its_summary_and_code(command, name, code):
 
 @pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="signals of POSIX")
 @pytest.mark.parametrize("name", ["SIGHUP", pytest.param("SIGTERM", marks=pytest.mark.full)])
-def test_an_emulator_takes_its_folder_with_it(name):
+def test_an_emulator_removes_its_folder_at_a_signal(name):
     with Program("-m", "pliant.cli", "servos", "emulate", "so101") as process:
         path = process.stdout.readline().partition(": ")[2].strip()
         assert os.path.exists(path)

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from mismatch import Mismatch, Parameters
 
-pytest.importorskip("mujoco", reason="the arm behind the bytes needs the extra sim")
+pytest.importorskip("mujoco", reason="the simulated arm needs the extra sim")
 pytest.importorskip("rustypot", reason="servo buses need the extra servo")
 
 import pliant
@@ -156,28 +156,28 @@ def session(tmp_path_factory):
     """
     folder = tmp_path_factory.mktemp("session")
     path = folder / "arm.json"
-    gap = Mismatch(plant=Parameters(payload=LOAD), assumed=Parameters(), compared=("payload",))
+    mismatch = Mismatch(plant=Parameters(payload=LOAD), assumed=Parameters(), compared=("payload",))
     with (
         pytest.MonkeyPatch.context() as patch,
-        gap,
+        mismatch,
         arm_of_unknown_servos(patch, folder) as (bus, arm, arm_config),
     ):
         texts, data = run(bus, arm, arm_config, path, skipped=("swings every joint by 0.1",))
         assert is_limp(bus)
         bus.servo(2).put("torque_enable", 1)
-        true = bus.servo(2).drive().stiffness
-        assert true / arm.servos.kp[1] == pytest.approx(TORQUE_RATIO, rel=0.05)
-        return data, path, true, texts, bus.port
+        true_kp = bus.servo(2).drive().stiffness
+        assert true_kp / arm.servos.kp[1] == pytest.approx(TORQUE_RATIO, rel=0.05)
+        return data, path, true_kp, texts, bus.port
 
 
 def test_the_weight_shows_a_wrong_stiffness_and_a_hidden_load(session):
-    data, _, true, _, _ = session
+    data, _, true_kp, _, _ = session
     weight = data["steps"]["weight"]
     measured = [joint for joint in weight["joints"] if joint["kp"] is not None]
     assert len(measured) >= 3
     for joint in measured:
-        assert joint["kp"] == pytest.approx(true, rel=0.08)
-        assert joint["kp_assumed"] == pytest.approx(true / TORQUE_RATIO, rel=0.05)
+        assert joint["kp"] == pytest.approx(true_kp, rel=0.08)
+        assert joint["kp_assumed"] == pytest.approx(true_kp / TORQUE_RATIO, rel=0.05)
     assert weight["extra_mass"] == pytest.approx(LOAD, abs=0.01)
 
 
@@ -244,7 +244,7 @@ def test_identification_depends_on_the_stall_torque_of_the_table(tmp_path, monke
     path = tmp_path / "arm.json"
     with arm_of_unknown_servos(monkeypatch, tmp_path) as (bus, arm, arm_config):
         _, data = run(bus, arm, arm_config, path, skipped=("yields along x",))
-        true = TORQUE_RATIO * arm.servos.kp[1]
+        true_kp = TORQUE_RATIO * arm.servos.kp[1]
     steps = data["steps"]
     pushes = steps["push"]
     slope = (pushes[1]["measured"] - pushes[0]["measured"]) / (
@@ -252,9 +252,9 @@ def test_identification_depends_on_the_stall_torque_of_the_table(tmp_path, monke
     )
     identified = [joint["kp"] for joint in steps["servos"]["joints"][1:4]]
     by_weight = [joint["kp"] for joint in steps["weight"]["joints"][1:4]]
-    assert np.median(identified) == pytest.approx(true / TORQUE_RATIO, rel=0.12)
-    assert slope * np.median(identified) == pytest.approx(true, rel=0.15)
-    assert by_weight == pytest.approx([true] * 3, rel=0.08)
+    assert np.median(identified) == pytest.approx(true_kp / TORQUE_RATIO, rel=0.12)
+    assert slope * np.median(identified) == pytest.approx(true_kp, rel=0.15)
+    assert by_weight == pytest.approx([true_kp] * 3, rel=0.08)
 
 
 def test_ctrl_c_lowers_the_arm_and_the_next_session_continues(tmp_path, monkeypatch):

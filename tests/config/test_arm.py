@@ -1,3 +1,5 @@
+"""Configuration files become servo specifications, and arms that work on simulator and emulator."""
+
 import numpy as np
 import pytest
 
@@ -62,7 +64,7 @@ def move(arm, name):
 
 @pytest.mark.pty
 @pytest.mark.parametrize("name", ["so101", "koch", "arm7"])
-def test_a_ready_arm_moves_over_real_bytes(name):
+def test_a_packaged_arm_moves_over_a_pseudo_terminal(name):
     arm_config = config.load(name)
     with make_emulator(arm_config, clock="steps") as bus:
         servo_bus = ServoBus(
@@ -80,13 +82,13 @@ def test_a_ready_arm_moves_over_real_bytes(name):
             arm.disable_torque()
         order = bus.log.order(servo_bus.specs[0].id)
         assert not bus.log.eeprom_writes()
-    # The error comes from supply voltage and gain registers; the built-in table has ideal servos.
+    # Emulated supply voltage and gains differ from those that the servo table assumes.
     assert np.linalg.norm(final - target) < 0.015
     assert order[:3] == ["limit", "goal", "torque on"]
 
 
 @pytest.mark.pty
-def test_a_ready_arm_on_an_emulator_of_its_own():
+def test_a_packaged_arm_moves_with_an_emulator_process():
     options = {"rate": 20.0, "comm_timeout": 20.0, "handle_signals": False}
     with pliant.connect("arm7", backend="emulator", **options) as arm:
         servo_bus = arm.drive
@@ -98,7 +100,7 @@ def test_a_ready_arm_on_an_emulator_of_its_own():
     assert order[:3] == ["limit", "goal", "torque on"]
 
 
-def test_joint_ranges_of_ready_arms_fit_their_servos():
+def test_joint_ranges_of_packaged_arms_fit_their_servos():
     for name in ("so101", "so100", "koch", "arm7"):
         arm_config = config.load(name)
         model = arm_config.model()

@@ -42,8 +42,8 @@ def test_quick_numbers_carry_every_statement(number, measured):
     assert chapter.statements()
     assert chapter.headline
     for s in chapter.statements():
-        assert s.tests, s.claim
-        assert all(math.isfinite(test.value) for test in s.tests), s
+        assert s.checks, s.claim
+        assert all(math.isfinite(test.value) for test in s.checks), s
         assert s.outcome.endswith("."), s.outcome
         assert "nan" not in s.outcome
         assert s.verdict is not Verdict.DISAGREES, s

@@ -109,9 +109,9 @@ def test_missed_bands_are_printed_with_number_and_reason():
     passed = Check(name="force", value=3.0, high=4.0, unit="N")
     tests = (passed, Check(name="drift", value=0.0123, low=0.001, high=0.01, unit="m"))
     statements = (
-        Statement(claim="It holds.", outcome="", tests=(passed,), source="study"),
-        Statement(claim="It stays.", outcome="", tests=tests, source="study", because="gears rub"),
-        Statement(claim="The paper's.", outcome="", tests=tests),
+        Statement(claim="It holds.", outcome="", checks=(passed,), source="study"),
+        Statement(claim="It stays.", outcome="", checks=tests, source="study", because="gears rub"),
+        Statement(claim="The paper's.", outcome="", checks=tests),
     )
     figure = Figure(file="f", title="", done="", caption="", statements=statements)
     chapter = Chapter(number=2, title="Held", lead="", figures=(figure,), numbers={})

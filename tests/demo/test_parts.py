@@ -26,11 +26,11 @@ def test_a_check_includes_its_bounds_and_fails_for_non_finite_numbers():
 def test_the_verdict_is_that_of_the_worst_test():
     passed, failed = at_most("a", 1.0, 2.0), at_most("b", 3.0, 2.0)
     texts = {"claim": "It does.", "outcome": "It did."}
-    assert Statement(**texts, tests=(passed,)).verdict is Verdict.AGREES
-    assert Statement(**texts, tests=(passed,), because="never shown").verdict is Verdict.AGREES
-    assert Statement(**texts, tests=(passed, failed)).verdict is Verdict.DISAGREES
-    assert Statement(**texts, tests=(passed, failed), because="gravity").verdict is Verdict.DIFFERS
-    assert Statement(**texts, tests=()).verdict is Verdict.DISAGREES
+    assert Statement(**texts, checks=(passed,)).verdict is Verdict.AGREES
+    assert Statement(**texts, checks=(passed,), because="never shown").verdict is Verdict.AGREES
+    assert Statement(**texts, checks=(passed, failed)).verdict is Verdict.DISAGREES
+    assert Statement(**texts, checks=(passed, failed), because="gravity").verdict is Verdict.DIFFERS
+    assert Statement(**texts, checks=()).verdict is Verdict.DISAGREES
 
 
 @pytest.mark.parametrize(

@@ -118,7 +118,7 @@ def test_action_without_reg_write_is_an_instruction_error():
 
 
 def saturate(model, seconds, **registers):
-    """Hold a servo at its torque limit for `seconds`."""
+    """Hold a servo at its torque limit for `seconds`; return its serial line and the servo."""
     line, servo = single_servo(model, **registers)
     write1(line, "torque_limit", *le16(200))
     write1(line, "goal_position", *le16(0))

@@ -36,7 +36,7 @@ def set_goal(servo, counts, share):
 
 def settle(model):
     kind = MODELS[ALIASES.get(model, model)]
-    current = kind.family == "x" and kind.unit > 0.0
+    current = kind.family == "x" and kind.current_unit > 0.0
     simulation, servo = world(model, **({"operating_mode": 5} if current else {}))
     servo.load.inertia = 3.0 * servo.model.motor.inertia
     return simulation, servo

@@ -41,7 +41,7 @@ def test_model_number_limits_and_present_block(name):
     error, data = read(line, 126, 10)  # Present Current (or Load), Velocity and Position
     assert error == 0
     assert number(data[6:10]) == 2048
-    assert ("current_limit" in servo.table) == (MODELS[name].unit > 0.0)
+    assert ("current_limit" in servo.table) == (MODELS[name].current_unit > 0.0)
 
 
 def test_eeprom_is_closed_while_torque_is_on():

@@ -34,14 +34,14 @@ AS_ASSUMED = {"as the table", "dead band 0.06°"}
 
 
 def identify_case(arm, case):
-    """Identify a simulated arm, with a check of true and assumed parameters of the case."""
+    """Identify the simulated arm of a case; check that only the stated parameters are wrong."""
     if case in AS_ASSUMED:
         return experiment.identify_arm(arm, case)
-    side = dict(TRUE_PARAMETERS[case])
-    if "gears" in side:
-        side["gears"] = experiment.GEARS[arm]
-    side["payload"] = side.pop("lift", 0.0) * experiment.LIFTS[arm]
-    with Mismatch(plant=Parameters(**side), assumed=Parameters()):
+    true_parameters = dict(TRUE_PARAMETERS[case])
+    if "gears" in true_parameters:
+        true_parameters["gears"] = experiment.GEARS[arm]
+    true_parameters["payload"] = true_parameters.pop("lift", 0.0) * experiment.LIFTS[arm]
+    with Mismatch(plant=Parameters(**true_parameters), assumed=Parameters()):
         return experiment.identify_arm(arm, case)
 
 

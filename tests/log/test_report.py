@@ -94,7 +94,7 @@ def test_sentences_name_the_reason(tmp_path, settings, says):
     assert re.search(says, findings.sentence(log, force_estimates.estimate_forces(log), 1))
 
 
-def test_stretches_are_those_of_the_log(tmp_path):
+def test_time_spans_are_those_of_the_log(tmp_path):
     log, _ = record(tmp_path / "run.mcap", pliant.Settings(), duration=2.0)
     spans = findings.spans(log)
     assert spans

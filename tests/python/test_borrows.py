@@ -1,4 +1,8 @@
-"""Objects that are in use: a second call gives an explained error and never a panic."""
+"""Arguments that run Python code or change while they are read, and objects in use by a call.
+
+A second call while an object is in use works or gives an explained error, never a panic. An array
+or file is accepted only if it is read as it is: no masked arrays, no booleans as numbers.
+"""
 
 import threading
 
@@ -100,7 +104,7 @@ def test_a_batch_state_may_be_used_while_its_arguments_are_read():
     controller.step_batch(rows, Accessor(call), state=state)
 
 
-def test_a_contact_in_another_thread_meets_no_panic():
+def test_a_contact_estimator_may_be_used_in_another_thread():
     controller, contact, _target = make_objects()
     is_over, unexpected, calls = threading.Event(), [], []
     accessor = Accessor(lambda: is_over.wait(1e-4))
@@ -139,9 +143,9 @@ def test_objects_in_use_raise():
 
     thread = threading.Thread(target=disturb)
     thread.start()
-    deadline = 200
-    while not messages and deadline:
-        deadline -= 1
+    attempts = 200
+    while not messages and attempts:
+        attempts -= 1
         try:
             controller.step_batch(rows, target, state=state)
         except RuntimeError as error:

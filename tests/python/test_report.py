@@ -141,7 +141,7 @@ def along_y(model, q):
 
 
 def arm_near_limit(model, q, room):
-    """Return the arm with a joint at the distance `room` [rad] from its upper limit.
+    """Return the arm with a joint at the distance `room` [rad] from its upper limit, and its index.
 
     It is the joint that a motion along +y turns most.
     """

@@ -89,7 +89,7 @@ def test_state_and_description_arrive(running, client):
     assert np.linalg.norm(running.tool[:3, 3] - position) < 0.01
 
 
-def test_caps_are_parameters_that_can_be_set(running, client):
+def test_the_force_caps_of_axes_are_parameters_that_can_be_set(running, client):
     client.send(op="getParameters", parameterNames=["axes.x.soft"], id="read")
     wait(running, client, lambda: "parameterValues" in client.answers, "the parameter")
     assert client.answers["parameterValues"]["parameters"][0]["value"] == 1.0

@@ -25,7 +25,10 @@ def lerobot_file(folder, **changes):
 
 
 def open_bus(name, folder, **changes):
-    """Open the calibrated arm of a built-in file with a calibration file changed by `changes`."""
+    """Open a calibrated built-in arm with a calibration file changed by `changes`.
+
+    Return the notes on its servos, and the closed bus.
+    """
     matching = config.load(name, backend="emulator", calibration=lerobot_file(folder))
     changed = config.load(name, backend="emulator", calibration=lerobot_file(folder, **changes))
     with make_emulator(matching, clock="steps") as bus:

@@ -75,9 +75,9 @@ def test_two_independent_tables_agree(name):
     assert compared >= 18
     assert servo_model.model_number == emulated_model.number
     assert 2 * np.pi / servo_model.counts_per_turn == pytest.approx(emulated_model.count, rel=1e-3)
-    assert servo_model.max_position == emulated_model.top
+    assert servo_model.max_position == emulated_model.max_position
     assert (
-        servo_model.current_unit == pytest.approx(emulated_model.unit)
+        servo_model.current_unit == pytest.approx(emulated_model.current_unit)
         or servo_model.limit_type == "pwm"
     )
     units = Units.of(ServoSpec(name="j", model=name, id=1, port="p"), emulated_model.motor.volts)

@@ -74,7 +74,7 @@ def test_requests_and_valid_replies_are_those_of_rustypot(port):
     port.io.sync_write([3, 5], 42, [b"\1\2", b"\3\4"])
     while len(port.requests) < 3:
         time.sleep(0.001)
-    # Bytes from before are no part of the next reply.
+    # Bytes that arrived before the request are not part of its reply.
     os.write(port.pty.master, packet(9))
     time.sleep(0.05)
     port.reply = packet(3)
@@ -257,7 +257,7 @@ def test_status_is_read_with_the_position_where_registers_are_near(
             if status is not None:
                 seen_faults[status.name] = status
         transactions = servo_bus.counters["transactions"] - before
-        # Protocol 2.0 has the registers far apart: a request for the status in each cycle.
+        # In Protocol 2.0 the registers are far apart, so each cycle has a request for the status.
         assert transactions == pytest.approx(
             requests * (cycles - n), abs=0.4 * cycles if kind == "xm" else 0
         )
@@ -276,5 +276,5 @@ def test_status_is_read_with_the_position_where_registers_are_near(
             servo_bus.write(np.zeros(n), limit)
             faults += getattr(servo_bus.poll_status(), "faults", ())
             bus.advance(0.01)
-        # Dynamixel servos switch torque on again with the next goal.
-        assert "torque went off by itself" in " ".join(faults) or kind != "sts"
+        # An MX servo (Protocol 1.0) switches torque on again with the next goal.
+        assert ("torque went off by itself" in " ".join(faults)) == (kind != "mx")

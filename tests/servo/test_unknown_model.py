@@ -21,11 +21,11 @@ robot.builtin = "koch"
 [[port]]
 path = "{port}"
 [servo]
-shoulder_pan = {{ model = "XL430-W250", id = 1{more} }}
-shoulder_lift = {{ model = "XL430-W250", id = 2{more} }}
-elbow_flex = {{ model = "XL430-W250", id = 3{more} }}
-wrist_flex = {{ model = "XL430-W250", id = 4{more} }}
-wrist_roll = {{ model = "XL430-W250", id = 5{more} }}
+shoulder_pan = {{ model = "XL430-W250", id = 1{fields} }}
+shoulder_lift = {{ model = "XL430-W250", id = 2{fields} }}
+elbow_flex = {{ model = "XL430-W250", id = 3{fields} }}
+wrist_flex = {{ model = "XL430-W250", id = 4{fields} }}
+wrist_roll = {{ model = "XL430-W250", id = 5{fields} }}
 """
 MODEL_FIELDS = f", model_number = {NUMBER}, stall = 2.8, no_load = 70.0, voltage = [9.0, 15.0]"
 
@@ -37,19 +37,19 @@ def bus():
         yield bus
 
 
-def test_the_error_names_the_number_and_the_line_that_mends_it(bus):
-    arm_config = config.parse(TOML.format(port=bus.port, more=""))
+def test_the_error_names_the_number_and_the_line_that_fixes_it(bus):
+    arm_config = config.parse(TOML.format(port=bus.port, fields=""))
     servo_bus = factory.make_bus(arm_config, {"main": bus.port})
     with pytest.raises(pliant.ServoError, match=f"model number {NUMBER}, which is in no") as error:
         servo_bus.open()
     line = re.search(r"add `(.*?)`", str(error.value))[1]
-    mended = config.parse(TOML.format(port=bus.port, more=f", {line}"))
-    with factory.make_bus(mended, {"main": bus.port}) as servo_bus:
+    fixed = config.parse(TOML.format(port=bus.port, fields=f", {line}"))
+    with factory.make_bus(fixed, {"main": bus.port}) as servo_bus:
         assert [info.model for info in servo_bus.found] == ["XL430-W250"] * 5
 
 
 def test_the_values_of_the_file_replace_those_of_the_model(bus):
-    arm_config = config.parse(TOML.format(port=bus.port, more=MODEL_FIELDS))
+    arm_config = config.parse(TOML.format(port=bus.port, fields=MODEL_FIELDS))
     assert arm_config.model().servos.max_torque == pytest.approx(2.8)
     with factory.make_bus(arm_config, {"main": bus.port}) as servo_bus:
         spec = servo_bus.specs[0]
@@ -58,6 +58,7 @@ def test_the_values_of_the_file_replace_those_of_the_model(bus):
         copy = pickle.loads(pickle.dumps(servo_bus.closed_copy()))  # as the guardian gets it
         assert copy.specs[0].row.model_number == NUMBER
     bus.supply(8.0)
+    # The range of the file ±0.5 V, within the limits in the EEPROM of an XL430 (up to 14 V).
     with (
         pytest.raises(pliant.ServoError, match=r"takes 8\.5 to 14 V"),
         factory.make_bus(arm_config, {"main": bus.port}),
@@ -67,7 +68,7 @@ def test_the_values_of_the_file_replace_those_of_the_model(bus):
 
 def test_its_eeprom_is_set_up_and_restored(bus, tmp_path, capsys):
     file, backup = tmp_path / "arm.toml", tmp_path / "old.json"
-    file.write_text(TOML.format(port=bus.port, more=MODEL_FIELDS))
+    file.write_text(TOML.format(port=bus.port, fields=MODEL_FIELDS))
     assert main(["servos", "setup", str(file), "--backup", str(backup), "--yes"]) == 0
     assert json.loads(backup.read_text())["changes"]
     assert main(["servos", "setup", str(file), "--undo", str(backup), "--yes"]) == 0
@@ -76,7 +77,7 @@ def test_its_eeprom_is_set_up_and_restored(bus, tmp_path, capsys):
 
 
 def test_the_emulator_answers_with_the_number_of_the_file():
-    text = TOML.format(port="auto", more=MODEL_FIELDS)
+    text = TOML.format(port="auto", fields=MODEL_FIELDS)
     with factory.make_emulator(config.parse(text, backend="emulator"), clock="steps") as emulated:
         arm_config = config.parse(text, port=emulated.port)
         with factory.make_bus(arm_config, {"main": emulated.port}) as servo_bus:
@@ -105,5 +106,5 @@ def test_a_number_of_another_model_is_an_error_of_the_file():
     extra = ", model_number = 777"
     with pytest.raises(pliant.ConfigError, match="777 is that of STS3215"):
         ServoBus(
-            factory.servo_specs(config.parse(TOML.format(port="p", more=extra)), {"main": "p"})
+            factory.servo_specs(config.parse(TOML.format(port="p", fields=extra)), {"main": "p"})
         )

@@ -5,10 +5,11 @@ import pytest
 
 from pliant.emulator import Timing
 from pliant.servo import wire_bytes, wire_time
-from pliant.servo._transactions import reply_timeout
+from pliant.servo._transactions import RESPONSE_DELAY, reply_timeout
 
 
 def rate(*transactions, baudrate):
+    """Return the number of cycles of these transactions per second [Hz]."""
     return 1.0 / sum(wire_time(*t, baudrate=baudrate) for t in transactions)
 
 
@@ -35,13 +36,15 @@ def test_bytes_of_the_packets_in_the_manuals():
     assert wire_bytes("p1", "ping", 1, 0) == (6, 6)
 
 
-def test_a_return_delay_costs_one_turn_per_answer():
+def test_a_return_delay_counts_once_per_reply():
     quick = wire_time("p2", "sync_read", 7, 10, baudrate=1_000_000)
-    slow = wire_time("p2", "sync_read", 7, 10, baudrate=1_000_000, response_delay=530e-6)
+    delay = RESPONSE_DELAY + 500e-6
+    slow = wire_time("p2", "sync_read", 7, 10, baudrate=1_000_000, response_delay=delay)
     assert slow - quick == pytest.approx(7 * 500e-6)
 
 
-def test_a_timeout_is_generous_but_bounded():
+def test_a_timeout_is_twice_wire_and_latency_but_at_most_three_periods():
+    # Arguments: time on the wire, latency of the adapter, control period [s].
     assert reply_timeout(0.001, 0.001, 0.01) == pytest.approx(0.010)
     assert reply_timeout(0.003, 0.016, 0.02) == pytest.approx(0.043)
     assert reply_timeout(0.003, 0.016, 0.01) == pytest.approx(0.030)

@@ -47,7 +47,7 @@ def test_a_drawer_binds_under_a_force_across(arm, floating, side_force, opens):
 
 
 def press_pad(arm, surface, height, grasp):
-    """Return force [N] and torque [N·m] on a pad that is held `height` [m] above its start."""
+    """Return force [N], torque [N·m] and origin [m] of a pad held `height` [m] above its start."""
     plant = scene(arm, surface)
     plant.reset(grasp)
     frame = plant.ground_truth.frame("tool")

@@ -13,7 +13,7 @@ pytest.importorskip("rustypot", reason="the bus needs the extra servo")
 pytest.importorskip("pydantic", reason="the configurations need the extra config")
 
 from programs import Program
-from soak.watched import so101
+from soak.recorded_arm import so101
 
 from pliant.emulator import EmulatorProcess
 
@@ -65,7 +65,7 @@ def test_the_arm_is_lowered(ending, code):
         _, stderr = program.communicate(timeout=120)
         assert program.returncode in code, stderr
         # A fall would reach 1 m/s; a busy machine makes a descent faster than usual.
-        assert not bus.call("on")
+        assert not bus.call("has_torque")
         assert bus.call("plant.tool.tolist")[2][3] < high - 0.02
         assert bus.call("recorder.speeds")[False] < 0.25
 
@@ -79,9 +79,9 @@ def test_killed_it_is_lowered_by_its_guardian_and_keeps_its_last_order_without(g
         # The guardian holds stderr of the program until it is done.
         program.communicate(timeout=120)
         if guardian:
-            assert not bus.call("on")
+            assert not bus.call("has_torque")
             assert bus.call("plant.tool.tolist")[2][3] < height - 0.02
         else:
             time.sleep(1.0)  # the emulator runs in real time
-            assert bus.call("on")
+            assert bus.call("has_torque")
             assert bus.call("plant.tool.tolist")[2][3] == pytest.approx(height, abs=0.01)

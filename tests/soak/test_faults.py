@@ -1,4 +1,9 @@
-"""Some rows of the table in docs/faults.md; `python -m experiments.faults` measures all rows."""
+"""Reactions of an emulated arm to faults of bus, servos, host and policy.
+
+The faults are some rows of the table in docs/faults.md, which `python -m experiments.faults`
+measures. Attributes of an outcome such as `drop` [m], `speed` and `lowered` [m/s] are those of
+`FaultResult`.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +18,7 @@ from experiments.faults import FAULT_CASES, WHEN, run_fault
 BY_TITLE = {case.title: case for case in FAULT_CASES}
 #: Reply timeout for cases in which every servo replies, long enough for a busy computer [s].
 REPLY_TIMEOUT = 0.3
-#: Rows of the table in which the arm keeps power and host, with the reaction of the arm.
+#: Rows of the table in which servos and host keep power, with the reaction of the arm.
 POWERED = {
     "one reply with a wrong checksum": "goes on",
     "a policy returns NaN for goals": "is lowered",
@@ -28,7 +33,7 @@ def test_the_table_has_at_least_20_different_cases():
 
 
 def run_jump(shift=0.0):
-    """Let the target jump while a hand holds the tool.
+    """Return the outcome of a jump of the target by 1 m while a hand holds the tool.
 
     `shift` [s] is the time within a tick at which the hand takes hold.
     """
@@ -36,22 +41,22 @@ def run_jump(shift=0.0):
     return run_fault(case, held=True, when=WHEN + shift, patience=REPLY_TIMEOUT)
 
 
-def throws_neither_the_arm_nor_a_hand(outcome):
+def assert_harmless(outcome):
     assert outcome.ending == "goes on"
     assert outcome.speed < 0.4
-    # The bound grows with the speed of the joints, so the force has one of its own.
     assert 5.0 < outcome.force <= outcome.allowed
+    # `allowed` grows with the speed of the joints, so it does not bound the force alone.
     assert outcome.force < 12.0
 
 
 def test_a_target_that_jumps_throws_neither_the_arm_nor_a_hand_and_repeats_to_the_bit():
     outcome = run_jump()
-    throws_neither_the_arm_nor_a_hand(outcome)
+    assert_harmless(outcome)
     assert outcome == run_jump()
 
 
 @pytest.mark.parametrize("title", POWERED)
-def test_an_arm_with_power_and_host_stays_up(title):
+def test_an_arm_with_power_and_host_goes_on_or_is_lowered(title):
     outcome = run_fault(BY_TITLE[title])
     assert outcome.ending == POWERED[title]
     assert outcome.drop < 0.002
@@ -76,7 +81,7 @@ def test_an_arm_whose_servos_restarted_does_not_get_up_by_itself():
 @pytest.mark.full
 @pytest.mark.parametrize("shift", [0.002, 0.004, 0.006, 0.008])
 def test_a_jump_at_another_time_within_a_tick_is_no_worse(shift):
-    throws_neither_the_arm_nor_a_hand(run_jump(shift))
+    assert_harmless(run_jump(shift))
 
 
 @pytest.mark.full

@@ -77,7 +77,7 @@ class BiPliantFollower(Robot):
         return True
 
     def calibrate(self) -> None:
-        """Print how to calibrate each arm."""
+        """Log how to calibrate each arm."""
         for arm in self._arms.values():
             arm.calibrate()
 

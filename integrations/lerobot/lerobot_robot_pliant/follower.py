@@ -141,7 +141,7 @@ class PliantFollower(Robot):
             if axis not in AXES:
                 raise pliant.ConfigError(f"soft_action {axis!r}; choose from {', '.join(AXES)}")
         if config.soft_action and not config.soft:
-            raise pliant.ConfigError("soft_action needs the forces of all axes to start with: soft")
+            raise pliant.ConfigError("soft_action needs initial forces: soft='x=4 y=4 z=4'")
         for name in config.observe:
             if name not in ("force", "deviation"):
                 raise pliant.ConfigError(f"observe {name!r}; choose from force, deviation")
@@ -192,7 +192,7 @@ class PliantFollower(Robot):
         return True
 
     def calibrate(self) -> None:
-        """Print how to calibrate; pliant uses LeRobot's calibration of the stock follower."""
+        """Log how to calibrate; pliant uses LeRobot's calibration of the stock follower."""
         LOG.info(
             "%s uses LeRobot's calibration: lerobot-calibrate --robot.type=so101_follower (or "
             "koch_follower) --robot.id=%s",

@@ -110,7 +110,7 @@ class PliantLeader(Teleoperator):
         return True
 
     def calibrate(self) -> None:
-        """Print how to calibrate; pliant uses LeRobot's calibration of the stock leader."""
+        """Log how to calibrate; pliant uses LeRobot's calibration of the stock leader."""
         LOG.info(
             "%s uses LeRobot's calibration: lerobot-calibrate --teleop.type=so101_leader (or "
             "koch_leader) --teleop.id=%s",

@@ -44,13 +44,13 @@ FIRM = 10.0
 
 
 class PliantSoftness(Teleoperator):
-    """Adds the force of each axis, as `cap_AXIS.vel`, to the action of another teleoperator."""
+    """Wraps a teleoperator and adds the force of each axis to its action, as `cap_AXIS.vel`."""
 
     config_class = PliantSoftnessConfig
     name = "pliant_softness"
 
     def __init__(self, config: PliantSoftnessConfig) -> None:
-        """Create the other teleoperator.
+        """Create the wrapped teleoperator.
 
         Raises:
             ValueError: `inner` has no type, or an axis is not x, y or z.
@@ -72,35 +72,35 @@ class PliantSoftness(Teleoperator):
 
     @cached_property
     def action_features(self) -> dict[str, type]:
-        """Entries of the other teleoperator's action, and one force per axis."""
+        """Entries of the wrapped teleoperator's action, and one force per axis."""
         caps = {f"{CAP}{axis}{SUFFIX}": float for axis in self.config.soft}
         return {**self.inner.action_features, **caps}
 
     @property
     def feedback_features(self) -> dict[str, type]:
-        """Feedback that the other teleoperator takes."""
+        """Feedback that the wrapped teleoperator takes."""
         return dict(self.inner.feedback_features)
 
     @property
     def is_connected(self) -> bool:
-        """True if the other teleoperator is connected."""
+        """True if the wrapped teleoperator is connected."""
         return bool(self.inner.is_connected)
 
     @property
     def is_calibrated(self) -> bool:
-        """True if the other teleoperator is calibrated."""
+        """True if the wrapped teleoperator is calibrated."""
         return bool(self.inner.is_calibrated)
 
     def calibrate(self) -> None:
-        """Calibrate the other teleoperator."""
+        """Calibrate the wrapped teleoperator."""
         self.inner.calibrate()
 
     def configure(self) -> None:
-        """Configure the other teleoperator."""
+        """Configure the wrapped teleoperator."""
         self.inner.configure()
 
     def connect(self, calibrate: bool = True) -> None:
-        """Connect the other teleoperator and listen to the key."""
+        """Connect the wrapped teleoperator, and start to listen for the key."""
         self.inner.connect(calibrate)
         try:
             from pynput import keyboard
@@ -126,7 +126,7 @@ class PliantSoftness(Teleoperator):
         LOG.info("axes %s: %s", " ".join(self.config.soft), "soft" if self.is_soft else "firm")
 
     def get_action(self) -> dict[str, Any]:
-        """Return the other teleoperator's action and the force of each axis [N]."""
+        """Return the wrapped teleoperator's action and the force of each axis [N]."""
         action = dict(self.inner.get_action())
         for axis, soft in self.config.soft.items():
             firm = self.config.firm.get(axis, FIRM)
@@ -134,20 +134,20 @@ class PliantSoftness(Teleoperator):
         return action
 
     def send_feedback(self, feedback: Mapping[str, Any]) -> None:
-        """Pass feedback to the other teleoperator."""
+        """Pass feedback to the wrapped teleoperator."""
         self.inner.send_feedback(dict(feedback))
 
     def __getattr__(self, name: str) -> Any:
-        """Return `enable_torque` or `disable_torque` of the other teleoperator, if it has them.
+        """Return `enable_torque` or `disable_torque` of the wrapped teleoperator, if it has it.
 
-        LeRobot moves a leader with both methods to the follower's pose before the handover.
+        Before the handover, LeRobot moves a leader that has both to the follower's pose.
         """
         if name in ("enable_torque", "disable_torque"):
             return getattr(self.inner, name)
         raise AttributeError(f"{type(self).__name__} has no attribute {name!r}")
 
     def disconnect(self) -> None:
-        """Stop listening and disconnect the other teleoperator."""
+        """Stop listening and disconnect the wrapped teleoperator."""
         listener, self._listener = self._listener, None
         if listener is not None:
             listener.stop()

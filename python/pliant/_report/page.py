@@ -59,7 +59,7 @@ def write(
     Args:
         path: Path of the HTML file.
         title: Headline.
-        about: Summary in two sentences.
+        about: Summary in a few sentences.
         notes: Notes at the top of the page, one paragraph each.
         contents: HTML identifier and title of each section, for the table of contents.
         body: HTML of the sections.
@@ -85,6 +85,7 @@ def text(plain: str) -> str:
 
 def table(content: Table) -> str:
     """Return the HTML of a table with caption; columns of numbers are aligned right."""
+    # The words are the texts that experiments show in place of a missing number.
     numeric = [
         all(
             re.match(r"^[−\-–±]?\d|^stays$|^not back$|^missed$|^–$", row[k]) for row in content.rows

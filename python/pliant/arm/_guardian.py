@@ -77,7 +77,7 @@ class Guardian:
 
     @property
     def is_ours(self) -> bool:
-        """True in the process that started the guardian, False in a process forked from it."""
+        """True in the process that started the guardian, False in its forked children."""
         return self in _running
 
     def watch(self, drive: Drive, arguments: Mapping[str, Any]) -> None:

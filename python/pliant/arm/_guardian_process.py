@@ -129,7 +129,8 @@ def watch(program: Program, line: Connection) -> tuple[Arm, str] | None:
             after torque off.
 
     Returns:
-        The arm, and the reason for lowering it here; None if the program has finished with the arm.
+        The arm, and the reason for lowering it in this process; None if the program has ended
+        its use of the arm.
     """
     arm: Arm | None = None
     is_open = True

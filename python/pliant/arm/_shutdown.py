@@ -28,7 +28,11 @@ MIN_LOAD = 1e-3
 #: Largest length of an error text in a message [characters].
 MAX_REASON = 160
 #: Text in progress messages for each phase of a descent.
-PHASES = {"rest": "to its rest pose", "down": "down", "ramp": "at rest, giving up its weight"}
+PHASES = {
+    "rest": "to its rest pose",
+    "down": "down",
+    "ramp": "at rest, torque limits going to zero",
+}
 #: Remedy in messages about an arm that was left with torque on.
 RECOVER = (
     "`pliant run ARM`, or your program started again, takes it over and lowers it at its end; or "
@@ -131,8 +135,8 @@ class ExitMessages:
         if on is None:
             return self._post(
                 f"{self._name} was not lowered, the bus is gone: servos that have power keep their "
-                "last goal and limit, torque ON. Mend the connection and start again, which takes "
-                "the arm over; or support the arm and cut the supply",
+                "last goal and limit, torque ON. Repair the connection and start the program "
+                "again, which takes the arm over; or support the arm and cut the supply",
                 logging.WARNING,
             )
         on = [name for name in on if name not in unknown]
@@ -143,11 +147,10 @@ class ExitMessages:
         return self._post(f"{self._name} {what} ({brief(error)}): {state}", logging.WARNING)
 
     def unrestored(self, names: Sequence[str]) -> None:
-        """Send the message that servos keep limits and speeds of this program."""
+        """Send the message that the joints `names` keep limits and speeds of this program."""
         self._post(
-            f"{self._name}: the line did not let {', '.join(names)} have their earlier torque "
-            "limits and speeds back: switch the supply off and on before another program drives "
-            "them",
+            f"{self._name}: the torque limits and speeds of {', '.join(names)} could not be "
+            "restored: switch the supply off and on before another program drives these joints",
             logging.WARNING,
         )
 
@@ -212,14 +215,14 @@ def brief(error: BaseException) -> str:
     return text if len(text) <= MAX_REASON else f"{text[: MAX_REASON - 3]}..."
 
 
-#: `hold_position` allows for a true servo stiffness of up to `STIFFER` times the assumed one, or of
-#: down to the assumed one over `SOFTER`.
+#: Factors by which the true stiffness of a servo may be larger or smaller than the assumed one, in
+#: `hold_position`.
 STIFFER, SOFTER = 2.5, 2.0
 #: Silence of the bus after which a descent ends with an error [s].
 MAX_SILENCE = 2.0
 #: Largest number of times that a descent is restarted because servos rejected its goals.
 MAX_RESTARTS = 2
-#: Time for which an arm that could give up its weight waits for joints whose torque is unknown [s].
+#: Time for which an arm at rest waits for joints whose torque is unknown, before torque off [s].
 UNKNOWN_TIME = 20.0
 
 
@@ -233,16 +236,16 @@ def descend(
 ) -> bool:
     """Lower the arm until its torque limits are zero, so that torque can be switched off.
 
-    Joints off the chain keep goal and limit until the arm rests. Single bus errors do not end the
-    descent, but a silence of `MAX_SILENCE` does; the servos then keep their last goal and limit.
-    Joints give up the weight only when the torque of all joints is known.
+    Joints off the chain (grippers) keep goal and limit until the arm rests. Single bus errors do
+    not end the descent, but a silence of `MAX_SILENCE` does; the servos then keep their last goal
+    and limit. The torque limits go to zero only when the torque of all joints is known.
 
     Args:
         io: Read and write access to the arm.
         rest: Rest pose to move to first (n,) [rad]; None: straight down.
         rate: Rate of the descent's control loop [Hz].
         is_aborted: Function that returns True to abort the descent; torque then stays on.
-        on_tick: Function that each cycle calls with the state of the descent; None: no call.
+        on_tick: Function to call with the descent in each cycle; None: no call.
 
     Returns:
         True if the torque limits are zero; False if the descent was aborted.
@@ -330,8 +333,7 @@ def hold_position(io: ArmIO) -> None:
     """Send goals and torque limits that hold the present pose; disable the servos' watchdogs."""
     kp, gravity = np.asarray(io.servos.kp), io.gravity()
     push, need = torque_margin(io.servos, gravity), gravity / kp
-    # Keep the present lead (goal minus position) if it can carry the weight. The true stiffness may
-    # differ from the assumed kp by up to the factors `STIFFER` and `SOFTER`.
+    # Keep the present lead (goal minus position) if it can carry the weight at some stiffness.
     ends = np.sort((need / STIFFER, need * SOFTER), axis=0)
     lead = np.clip(io.goal - io.q, ends[0] - push / kp, ends[1] + push / kp)
     limit = SUPPORT * np.abs(gravity) + push

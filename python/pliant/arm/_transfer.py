@@ -1,6 +1,7 @@
 """Transfer of the weight of a standing arm to its servos while torque comes on.
 
-The lead of a joint is goal minus position [rad]; a servo turns it into torque.
+The lead of a joint is goal minus position [rad]; a servo turns it into torque. In the balance, the
+first phase, torque limits bring the falling arm to rest. In the second phase, the leads shrink.
 """
 
 from __future__ import annotations
@@ -39,11 +40,11 @@ POLE_DELAY, MAX_POLE = 1.0, 45.0
 FIRST_DISTURBANCE = 3e3
 #: Weight of the last period in the mean loop period, and longest period that is averaged [s].
 PERIOD_SHARE, MAX_PERIOD = 0.2, 0.1
-#: Time constant with which a long period and delay of the past is forgotten [s]: poles for a mean
-#: period are unstable where some periods are much longer.
+#: Time constant with which the longest sum of period and delay is forgotten [s]. The poles depend
+#: on this sum, because poles for a mean period are unstable if some periods are much longer.
 FORGET_TIME = 0.5
 #: Bounds on the torque of the balance beyond the weight: largest load at the tool [kg], share of
-#: the weight, and ratio to friction. A period that lasts too long does not throw the arm.
+#: the weight, and ratio to friction. They keep a period that lasts too long from throwing the arm.
 BOUND_LOAD, BOUND_SHARE, BOUND_FRICTION = 0.6, 0.6, 2.0
 #: Ratio of the poles of the position control to that of the observer.
 CONTROL_SHARE = 0.4
@@ -59,7 +60,7 @@ SHRINK_TIME, SHRINK_SPEED, MIN_LEAD = 0.4, 0.15, 0.002
 #: Smallest change of a position that is not rounding [rad], and largest encoder step that is
 #: estimated from such changes [rad].
 MIN_CHANGE, MAX_COUNT = 1e-6, 0.006
-#: A joint that is displaced by more than this [rad], and two encoder steps, counts as sinking.
+#: Displacement above which a joint counts as sinking [rad]; two encoder steps if these are larger.
 SINKING = 0.002
 #: The lead of a sinking joint carries it at a torque of ``(1 + FOUND_SHARE) τ + FOUND_FRICTION f``,
 #: with the torque τ of the balance and the friction f, or at `USABLE_SHARE` of the usable torque.
@@ -84,10 +85,10 @@ MEAN_TIME = 0.3
 #: A joint has returned within `RETURNED` [rad] (at least 0.6 encoder steps) of its first position.
 #: Leads stop shrinking after `MAX_TIME` [s]; joints may return for another `RETURN_TIME` [s].
 RETURNED, MAX_TIME, RETURN_TIME = 1.5e-4, 5.0, 1.0
-#: Time without a position of a joint after which the arm is sent what holds it at rest, and after
-#: which the weight transfer ends with an error [s].
+#: Time without a position of a joint after which the arm gets goals and limits that hold it at
+#: rest, and time after which the weight transfer ends with an error [s].
 STALE, MAX_SILENCE = 0.03, 0.5
-#: Assumed time constant with which the stiffness of the servos brakes joints meanwhile [s].
+#: Assumed time constant with which the stiffness of the servos brakes joints in that time [s].
 BRAKE_TIME = 0.03
 
 
@@ -278,7 +279,7 @@ class _WeightTransfer:
         now = clock.now()
         dt, self._heard = now - self._heard, now
         self._slowest = max(io.delay(now) + dt, self._slowest * math.exp(-dt / FORGET_TIME))
-        # A slow bus has a longer period; a silence is no period.
+        # A slow bus has a longer period; a silence does not count as one.
         self._period += PERIOD_SHARE * (min(dt, MAX_PERIOD) - self._period)
         return dt
 
@@ -323,12 +324,12 @@ class _WeightTransfer:
         self._observe(torque)
 
     def _observe(self, torque: Array) -> None:
-        """Pass the torques (n,) [N·m] to the observer; joints that were taken over stand still."""
+        """Pass the torques (n,) [N·m] to the observer; joints that were taken over are at rest."""
         u = self._inverse @ (torque - self._weight)
         self._observer.send(self._heard, np.where(self._follows, u, -self._observer.d))
 
     def _balance(self) -> Array:
-        """Balance the joints by their torque limits until they stand; return their torques (n,)."""
+        """Bring the joints to rest by their torque limits; return torques that hold them (n,)."""
         torque, passed, still = self._weight, 0.0, 0.0
         mean, moves = torque.copy(), False
         # Below friction, so that it holds a joint in place without lifting it.
@@ -394,7 +395,7 @@ class _WeightTransfer:
             carrying = np.where(sunk > returned, carrying, lead)
             lead = np.where(shrinking & ~held, left, lead)
             lead = np.where(np.isnan(found) & (np.abs(lead) < MIN_LEAD), 0.0, lead)
-            # At lead 0, the stiffness of its servo holds a joint that sank earlier.
+            # A joint that sank and has lead 0 needs no lead: the stiffness of its servo holds it.
             found = np.where(np.isnan(found) & (lead == 0.0) & (sunk > 0.5 * sinking), 0.0, found)
             known = np.isfinite(found) | (lead == 0.0)
             # Raise the limit of a joint that continues to sink although its lead is known.

@@ -12,7 +12,8 @@ from pliant._core import ThermalModel
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-#: Used share of a servo's thermal budget above which a fault is reported [1]; at 1, all is used.
+#: Heat of a servo above which a fault is reported, as a share of its thermal budget [1]. The heat
+#: exceeds 1 if the arm's weight needs more than the continuous torque.
 TOO_HOT = 1.3
 
 
@@ -21,7 +22,7 @@ class Budget:
     """Thermal and electrical budget of an arm.
 
     Attributes:
-        continuous: Share of the usable torque that a servo can exert without end, in (0, 1].
+        continuous: Share of the usable torque that a servo can exert continuously, in (0, 1].
         seconds: Thermal time constant of a servo's winding [s]. At full torque the budget is used
             up after ``−seconds ln(1 − continuous²)``: 5.2 s by default.
         supply: Largest current of the power supply [A]; None: no limit.
@@ -68,9 +69,9 @@ def thermal_faults(thermal: ThermalModel, names: tuple[str, ...]) -> list[str]:
     for name, heat, degrees in zip(names, thermal.heat, thermal.temperature, strict=True):
         if heat > TOO_HOT:
             faults.append(
-                f"{name} has used {100 * heat:.0f} % of its thermal budget holding the arm up: "
+                f"{name} is at {100 * heat:.0f} % of its thermal budget, as it holds the arm up: "
                 "choose a pose that needs less torque there"
             )
-        if degrees >= thermal.last_temperature:
-            faults.append(f"{name} has {degrees:.0f} °C and switches off soon: let it cool")
+        if degrees >= thermal.zero_torque_temperature:
+            faults.append(f"{name} is at {degrees:.0f} °C and switches off soon: let it cool")
     return faults

@@ -158,7 +158,7 @@ class NoTargets:
     done = False
 
     def latest(self) -> Target | None:
-        """Return None."""
+        """Return None: this source has no targets."""
         return None
 
     def __enter__(self) -> Self:

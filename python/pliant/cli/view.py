@@ -83,7 +83,7 @@ def run(
 
 
 def _simulated(robot: str, scene: str, rate: float, override: ConfigFlags) -> Source:
-    """Return the `Source` that makes a simulated built-in arm; reject flags for configurations."""
+    """Return the `Source` of a simulated built-in arm; reject flags that change a configuration."""
     from pliant.view.source import Simulated
 
     if robot not in pliant.robots.names():

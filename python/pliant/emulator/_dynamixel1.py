@@ -41,7 +41,7 @@ class Dxl1Servo(Servo):
 
         Outside multi-turn mode, an MX wraps around after a turn; other models stop at the ends.
         """
-        top = self.model.top
+        top = self.model.max_position
         raw = round(self.shaft.angle / self.model.count)
         if self._multi_turn:
             return raw
@@ -55,7 +55,7 @@ class Dxl1Servo(Servo):
 
     def raw_of(self, count: float) -> float:
         """Return the encoder count at which `count` is reported; reverse mode counts downward."""
-        return self.model.top - count if self._reverse else count
+        return self.model.max_position - count if self._reverse else count
 
     @property
     def _reverse(self) -> bool:
@@ -199,9 +199,9 @@ class Dxl1Servo(Servo):
         self.put("moving", abs(self.shaft.speed) > MOVING_SPEED)
         amps = sign * self.current
         if self.table is tables.EX106:
-            self.put("sensed_current", 512 + amps / self.model.unit)
+            self.put("sensed_current", 512 + amps / self.model.current_unit)
         elif "present_current" in self.table:
-            self.put("present_current", 2048 + amps / self.model.unit)
+            self.put("present_current", 2048 + amps / self.model.current_unit)
 
 
 #: Speed below which the register Moving reads 0 [rad/s].

@@ -141,7 +141,7 @@ class StsServo(Servo):
             self._overload = 0.0
         if self._overload > self.get("protection_time") * 0.010 and self._overload > 0.0:
             self._latched |= BIT_OVERLOAD
-        if abs(self.current) > self.get("protection_current") * self.model.unit:
+        if abs(self.current) > self.get("protection_current") * self.model.current_unit:
             self._over_current += seconds
         else:
             self._over_current = 0.0
@@ -168,4 +168,4 @@ class StsServo(Servo):
         self.put("registered", self.registered is not None)
         self.put("status", self.status())
         self.put("moving", abs(self.shaft.speed) > self.get("moving_threshold") * 50 * STEP)
-        self.put("present_current", self.current / self.model.unit)
+        self.put("present_current", self.current / self.model.current_unit)

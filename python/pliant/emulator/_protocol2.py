@@ -51,12 +51,14 @@ def _identity(servo: XServo) -> bytes:
 
 def _single(servo: XServo, instruction: int, params: bytes) -> bytes:
     """Let a servo execute an instruction; return its reply, empty if it does not reply."""
-    id, data, error, level = servo.id, b"", 0, 2
+    # Smallest Status Return Level at which a servo replies to the instruction.
+    min_level = 2
+    id, data, error = servo.id, b"", 0
     alert = servo.status()
     if instruction == PING:
         return _identity(servo)
     if instruction == READ:
-        error, level = LENGTH, 1
+        error, min_level = LENGTH, 1
         if len(params) == 4:
             error, data = servo.read(_word(params, 0), _word(params, 2))
     elif instruction == WRITE:
@@ -73,7 +75,7 @@ def _single(servo: XServo, instruction: int, params: bytes) -> bytes:
         # Reject other instructions. These include the factory reset, which would clear the id and
         # which no driver needs.
         error = INSTRUCTION
-    if servo.level < level:
+    if servo.level < min_level:
         return b""
     return status_2(id, alert | servo.status() | error, data)
 

@@ -189,7 +189,7 @@ class XServo(Servo):
         if mode != CURRENT_POSITION:
             stiffness = gain * self.stall / FULL_PWM
             return Drive(angle, stiffness, ceiling, speed, slope=motor.slope)
-        per_count = self.model.unit * motor.torque_per_amp
+        per_count = self.model.current_unit * motor.torque_per_amp
         stiffness = gain * per_count
         limit = abs(self.get("goal_current")) * per_count
         inertia = motor.inertia + self.load.inertia
@@ -229,7 +229,7 @@ class XServo(Servo):
         self.put("present_velocity", sign * self.shaft.speed / _RPM)
         self.put("present_pwm", sign * self.duty * FULL_PWM)
         if self._has_current_sensor:
-            self.put("present_current", sign * self.current / self.model.unit)
+            self.put("present_current", sign * self.current / self.model.current_unit)
         else:
             self.put("present_load", sign * self.duty * 1000.0)
         self.put("present_input_voltage", self.supply * 10.0)

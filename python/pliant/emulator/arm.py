@@ -154,7 +154,7 @@ class ArmPhysics:
             couplings = []
             for _, sign in mount.ids:
                 servo = next(rest)
-                zero = (servo.model.top + 1) // 2 if mount.zero is None else mount.zero
+                zero = (servo.model.max_position + 1) // 2 if mount.zero is None else mount.zero
                 ratio = sign * servo.direction * mount.gear_ratio
                 couplings.append(Coupling(servo, ratio, servo.angle_of(zero)))
             self._joints[mount.joint] = couplings

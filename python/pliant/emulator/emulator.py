@@ -200,7 +200,7 @@ class Emulator:
                 servo.power_up()
 
     def supply(self, volts: float) -> None:
-        """Set the supply voltage of all servos [V]; a servo reports one outside its limits."""
+        """Set the supply voltage of all servos [V]; they report a voltage outside their limits."""
         with self._server.lock:
             for servo in self.servos:
                 servo.supply = float(volts)

@@ -60,7 +60,7 @@ class JointHand:
         """Do nothing after a physics step."""
 
     def during(self, plant: Plant) -> None:
-        """Apply the hand's torques to the joints in a physics step; they also carry the weight."""
+        """Apply the hand's torques, which also carry the weight, to the joints for one step."""
         model, data = plant.mj_model, plant.mj_data
         targets = self._motion(data.time)
         if not self._start:

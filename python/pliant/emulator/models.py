@@ -45,7 +45,7 @@ class Motor:
         return self.stall / self.amps
 
     # Friction, gear damping and rotor inertia are not published. They are assumed as shares of
-    # `stall` and `slope`, chosen so that an unloaded servo comes to rest as it does in videos.
+    # `stall` and `slope`, chosen so that an unloaded servo stops as quickly as in videos.
 
     @property
     def friction(self) -> float:
@@ -68,13 +68,13 @@ class Model:
     """Data of one servo type.
 
     Attributes:
-        name: Model name of the maker.
+        name: The maker's name of the model.
         family: `dxl1` (Dynamixel Protocol 1.0), `x` (Protocol 2.0) or `sts` (Feetech).
         number: Content of the register Model Number.
         table: Control table.
         count: Shaft angle of one position count [rad].
         motor: Motor and gear.
-        unit: Current of one count of the current registers [A]; 0 without a current sensor.
+        current_unit: Current of one count of the current registers [A]; 0 without a current sensor.
     """
 
     name: str
@@ -83,10 +83,10 @@ class Model:
     table: Table
     count: float
     motor: Motor
-    unit: float = 0.0
+    current_unit: float = 0.0
 
     @property
-    def top(self) -> int:
+    def max_position(self) -> int:
         """Largest position count of one turn, or of the potentiometer's range."""
         return 1023 if self.table is tables.RX64 else 4095
 

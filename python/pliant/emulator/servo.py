@@ -125,7 +125,7 @@ class Servo(ABC):
         self._fields = {r.name: (r.address, r.address + r.size, r.sign) for r in self.table}
         self.memory = bytearray(self.table.size)
         self.stored = bytearray(self.table.size)
-        middle = (model.top + 1) / 2 * model.count
+        middle = (model.max_position + 1) / 2 * model.count
         self.shaft = Shaft(middle if angle is None else float(angle))
         self.load = Load()
         self.supply = 14.8 if model.motor.volts > 16.0 else model.motor.volts
@@ -304,7 +304,7 @@ class Servo(ABC):
 
     @property
     def level(self) -> int:
-        """Instructions that the servo replies to: 0 pings, 1 also reads, 2 all."""
+        """Status Return Level: 0 replies to pings, 1 also to reads, 2 to all instructions."""
         return self.get("status_return_level")
 
     @property

@@ -32,7 +32,7 @@ AMPLITUDE = 0.05
 SWINGS = (2.6, 2.75)
 #: k_p of a joint is estimated if its change of lead exceeds this many standard deviations [1].
 SIGNIFICANCE = 4.0
-#: Iterations for k_p and M; each reduces the error about tenfold.
+#: Iterations for k_p and the missing mass M (see above); each reduces the error about tenfold.
 ITERATIONS = 8
 
 

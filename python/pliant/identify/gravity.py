@@ -73,7 +73,7 @@ class GravityCapture:
 
     @property
     def stays(self) -> bool:
-        """True if the arm was at rest, no stiffness was clipped, and the check did not fail."""
+        """True if the arm was at rest, no stiffness was clipped, and any check was passed."""
         return self.still and not self.clipped.any() and not self.drift > self.bound
 
     def summary(self) -> list[str]:
@@ -95,11 +95,11 @@ class GravityCapture:
                 )
             else:
                 out.append(
-                    f"{name}: left as assumed; gravity asks only {self.gravity[i]:+.2f} N·m here, "
-                    "too near to its friction to tell."
+                    f"{name}: left as assumed; gravity needs only {self.gravity[i]:+.2f} N·m here, "
+                    "too close to the friction of the joint."
                 )
         if not self.still:
-            out.append("the arm did not come to rest while holding: capture again, untouched.")
+            out.append("the arm did not come to rest: capture again, without touching it.")
         if self.drift > self.bound:
             out.append(
                 f"the check failed: the tool moved {1e3 * self.drift:.1f} mm, more than "
@@ -117,8 +117,8 @@ class GravityCapture:
             )
         friction, damping = self.remedy.compensation.friction, self.remedy.compensation.damping
         return (
-            f"with Compensation(friction={friction:g}, damping={damping:g}) it stays (a servo "
-            "that is stiffer than its table has its friction compensated too much): "
+            f"with Compensation(friction={friction:g}, damping={damping:g}) it stays (for a servo "
+            "that is stiffer than in its table, the friction feed-forward is too large): "
             "controller.update(found.remedy) until the servos are identified."
         )
 

@@ -139,10 +139,7 @@ def largest_force_tick(forces: ForceEstimates, k: int) -> int | None:
 
 
 def exceeded_share(log: Log, forces: ForceEstimates, k: int) -> float:
-    """Return the share of ticks in which the force on axis k exceeds its bound.
-
-    The bound is the sum of cap, friction and uncertainty of the force.
-    """
+    """Return the share of ticks in which |force| on axis k exceeds cap + friction + uncertainty."""
     friction = forces.report.axes[log.run["axes"][k]].friction
     allowed = log.axis_strength[:, k] + friction + forces.bound[:, k]
     return float((np.abs(forces.force[:, k]) > allowed).mean())

@@ -65,8 +65,8 @@ def report(log: Log, folder: Path, *, title: str = "a run") -> Path:
     pictures.strength(folder, log, bounds)
     pictures.loop(folder, log)
     sections = (
-        ("soft", "Why it was soft, or not", _soft(log, forces, folder)),
-        ("strength", "Where strength ended", _strength(log, bounds, folder)),
+        ("soft", "Compliance of the axes", _soft(log, forces, folder)),
+        ("strength", "Joints at their limits", _strength(log, bounds, folder)),
         ("loop", "Loop and servos", _loop(log, folder)),
         ("settings", "Configuration", _settings(log)),
     )
@@ -96,7 +96,7 @@ def _about(log: Log) -> str:
 
 
 def _notes(log: Log) -> list[str]:
-    """Return the notes at the top of the report: damage, missing calls and changed settings."""
+    """Return the notes at the top of the report: damage, missing data, changed settings."""
     notes = []
     if log.damage:
         notes.append(
@@ -109,7 +109,9 @@ def _notes(log: Log) -> list[str]:
     if log.missing:
         notes.append(f"{log.missing} calls of the controller are missing from the log.")
     if any(call.what == "update" for call in log.calls):
-        notes.append("Settings were changed during the run; those shown are of the beginning.")
+        notes.append(
+            "Settings were changed during the run; this page shows those at its beginning."
+        )
     return notes
 
 
@@ -140,8 +142,8 @@ def _soft(log: Log, forces: ForceEstimates | None, folder: Path) -> str:
     if forces is not None:
         when = findings.elapsed_time(log)[forces.worst]
         parts.append(
-            f'<p><b class="head">What the controller says of the pose at {when:.2f} s</b>, where '
-            "the tool was farthest off:</p>"
+            f'<p><b class="head">Report of the controller on the pose at {when:.2f} s</b>, in '
+            "which the tool was farthest from its target:</p>"
         )
         parts.append(_list(forces.report.summary()))
     return "".join(parts)
@@ -173,10 +175,10 @@ def _caps(log: Log, forces: ForceEstimates | None) -> Table:
             ]
         rows.append((*row, findings.unit(name, force=True)))
     return Table(
-        caption="Caps against estimated forces. The last column is the share of ticks in which cap "
-        "plus friction plus uncertainty were exceeded: a rigid contact, an impact, or servos "
-        "unlike their table.",
-        columns=("axis", "setting", "cap", "largest force", "friction", "above all", "unit"),
+        caption="Caps and estimated forces. The column `exceeded` is the share of ticks in which "
+        "the force was above cap plus friction plus uncertainty: a rigid contact, an impact, or "
+        "servos that differ from their table.",
+        columns=("axis", "setting", "cap", "largest force", "friction", "exceeded", "unit"),
         rows=tuple(rows),
     )
 
@@ -203,7 +205,7 @@ def _strength(log: Log, bounds: list[Span], folder: Path) -> str:
     ]
     longest = sorted(bounds, key=lambda span: span.start - span.end)[:MAX_SPANS]
     table = Table(
-        caption=f"The {len(longest)} longest of {len(bounds)} stretches.",
+        caption=f"The {len(longest)} longest of {len(bounds)} time spans.",
         columns=("joint", "what", "from [s]", "for [s]", "main axis"),
         rows=tuple(
             (
@@ -225,8 +227,8 @@ def _loop(log: Log, folder: Path) -> str:
     if timing.gaps.size:
         median, p99, largest = np.percentile(timing.gaps, [50.0, 99.0, 100.0])
         sentences.append(
-            f"From tick to tick {1e3 * median:.2f} ms in the median, {1e3 * p99:.2f} ms for 99 %, "
-            f"{1e3 * largest:.2f} ms at most; {timing.late} of {len(log)} came more than "
+            f"Time from tick to tick: {1e3 * median:.2f} ms (median), {1e3 * p99:.2f} ms (99 %), "
+            f"{1e3 * largest:.2f} ms (maximum); {timing.late} of {len(log)} ticks began more than "
             f"{findings.LATE_PERIODS:g} periods of {1e3 * timing.period:g} ms "
             "after the previous one."
         )

@@ -18,7 +18,7 @@ TOOL, WRIST = "tool", "wrist"
 
 
 class Frame:
-    """Frame of the robot in base axes: present pose and velocity, and pose at reset."""
+    """Frame of the robot in base axes: present pose and velocity, and start pose."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, site: int) -> None:
         """Create the frame of the MuJoCo site with the index `site`."""
@@ -31,7 +31,7 @@ class Frame:
         self.remember()
 
     def remember(self) -> None:
-        """Store the present pose as the start pose."""
+        """Store the present pose as the start pose; a reset of the plant does this too."""
         self.start = self.position.copy()
         self.start_rotation = self.rotation.copy()
 
@@ -49,11 +49,11 @@ class Frame:
         return pose
 
     def shift(self) -> Array:
-        """Return the displacement (3,) [m] since the reset, in base axes."""
+        """Return the displacement (3,) [m] from the start pose, in base axes."""
         return self.position - self.start
 
     def turn(self) -> Array:
-        """Return the rotation since the start as a rotation vector (3,) [rad] in base axes."""
+        """Return the rotation from the start pose as a rotation vector (3,) [rad] in base axes."""
         quat, vector = np.zeros(4), np.zeros(3)
         mujoco.mju_mat2Quat(quat, (self.rotation @ self.start_rotation.T).reshape(9))
         mujoco.mju_quat2Vel(vector, quat, 1.0)

@@ -39,7 +39,7 @@ LINEAR = ("x", "y", "z")
 BAR_SCALES = (20.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0)
 #: Softness (0 stiff, 1 soft) above which an axis is displayed as soft [1].
 MIN_SOFTNESS = 0.01
-#: For each value of `Axis.yields`: signs of the deviations at which thresholds are marked on a bar.
+#: For each value of `Axis.yields`: signs of the offsets at which thresholds are marked on a bar.
 YIELD_SIGNS = {"both": (-1.0, 1.0), "+": (1.0,), "-": (-1.0,)}
 #: An estimated force is shown as "?" if its uncertainty is above this value [N].
 MAX_UNCERTAINTY = 1000.0
@@ -62,7 +62,9 @@ def health(h: LoopTiming) -> str:
     hint = _hint("ticks late by", "How long after its time a tick of the loop begins")
     slow = ""
     if h.speed < 0.95:
-        slow = f' · <b style="color:{ALERT}">slow motion, {h.speed:.0%}: a busy computer</b>'
+        slow = (
+            f' · <b style="color:{ALERT}">at {h.speed:.0%} of real time: the computer is busy</b>'
+        )
     faults = [f"{count} {name}" for name, count in _timing_faults(h) if count]
     delay = "" if h.delay is None else f" · delay {1e3 * h.delay:.1f} ms"
     return _box(
@@ -162,14 +164,16 @@ def axes(info: SceneInfo, shown: SettingsView, step: Step, full: Mapping[str, fl
     limits = ", ".join(f"±{value:g} {unit}" for unit, value in full.items())
     head = (
         "",
-        _hint("off target", "Where the tool is from its target"),
+        _hint("off target", "Position of the tool minus position of its target"),
         "",
         "push-back",
         "of its cap",
         _hint("soft", "Softness times compliance: 100 % gives way, 0 % holds"),
     )
-    legend = f'<div style="opacity:0.6;font-size:11px">bars: {limits}; lines: d⁻ and d⁺</div>'
-    return _table(head, rows, (32, 66, 60, 66, 80, 34)) + _box(legend)
+    legend = f"bars: {limits}; lines: soft_until, firm_from"
+    return _table(head, rows, (32, 66, 60, 66, 80, 34)) + _box(
+        f'<div style="opacity:0.6;font-size:11px">{legend}</div>'
+    )
 
 
 def contact_force(info: SceneInfo, estimate: ForceEstimate) -> str:
@@ -188,9 +192,7 @@ def contact_force(info: SceneInfo, estimate: ForceEstimate) -> str:
             if is_significant
             else f"{name} {number}"
         )
-    title = _hint(
-        "felt at the tool [N]", "Force on the tool, from joint positions alone, ± its bound"
-    )
+    title = _hint("force on the tool [N]", "Estimated from joint positions alone, ± its bound")
     return _box(f"{title}: {' · '.join(words)}")
 
 

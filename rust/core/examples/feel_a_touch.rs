@@ -1,7 +1,7 @@
 //! Estimate the force at the tool without a force sensor, from commands and joint positions.
 //!
 //! `cargo run --release -p pliant-core --example feel_a_touch`
-#![expect(clippy::print_stdout, reason = "an example says what it does")]
+#![expect(clippy::print_stdout, reason = "the example prints its result")]
 
 mod arm;
 

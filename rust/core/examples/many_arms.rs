@@ -1,7 +1,7 @@
 //! Step a thousand arms in one call, each with its own state.
 //!
 //! `cargo run --release -p pliant-core --example many_arms`
-#![expect(clippy::print_stdout, reason = "an example says what it does")]
+#![expect(clippy::print_stdout, reason = "the example prints its result")]
 
 mod arm;
 

@@ -6,7 +6,7 @@
     clippy::expect_used,
     clippy::panic,
     clippy::print_stdout,
-    reason = "a test may fail loudly, its helpers too, and print what it looked at"
+    reason = "tests and their helpers may panic and print"
 )]
 
 mod arm;

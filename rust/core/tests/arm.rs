@@ -408,7 +408,7 @@ fn a_jump_is_rejected_until_the_joint_can_have_moved_there() {
     assert_eq!(read([0.0, 3.0], [true, true], 0.00).0, [true, true]);
     // 2 × 1 rad/s × 10 ms + 0.2 rad = 0.22 rad.
     assert_eq!(read([0.219, 3.221], [true, true], 0.01).0, [true, false]);
-    // The accepted distance does not grow while implausible positions arrive.
+    // The accepted distance does not grow while implausible positions arrive every 10 ms.
     for tick in 2..9 {
         let (accepted, filter) = read([0.219, 3.23], [true, true], 0.01 * f64::from(tick));
         assert_eq!(accepted, [true, false]);

@@ -4,7 +4,7 @@
     clippy::expect_used,
     clippy::panic,
     clippy::print_stdout,
-    reason = "a test may fail loudly, its helpers too, and says which input fails"
+    reason = "tests and their helpers may panic, and print the input that fails"
 )]
 
 use std::fs;

@@ -1,5 +1,5 @@
 //! Control steps and the laws of an arm allocate no heap memory.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test may fail loudly, its helpers too")]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests and their helpers may panic")]
 #![allow(unsafe_code, reason = "a counting allocator is an unsafe trait by nature")]
 
 use std::alloc::{GlobalAlloc, Layout, System};

@@ -46,7 +46,7 @@ pub(crate) struct CommandLimiter {
 impl CommandLimiter {
     #[new]
     #[pyo3(signature = (model, servos, thermal, *, chain, kp, max_torque))]
-    #[expect(clippy::needless_pass_by_value, reason = "what PyO3 extracts it hands over")]
+    #[expect(clippy::needless_pass_by_value, reason = "PyO3 passes extracted arguments by value")]
     fn new(
         model: &Bound<'_, PyAny>,
         servos: &Bound<'_, PyAny>,
@@ -70,8 +70,8 @@ impl CommandLimiter {
 
     #[doc = stub!(CommandLimiter.limit)]
     #[pyo3(signature = (goal, limit, velocity, positions, off_chain, ramp, ramp_start, *, lead))]
-    #[expect(clippy::too_many_arguments, reason = "a command, and the state for which it is limited")]
-    #[expect(clippy::needless_pass_by_value, reason = "what PyO3 extracts it hands over")]
+    #[expect(clippy::too_many_arguments, reason = "a command and the state of the arm")]
+    #[expect(clippy::needless_pass_by_value, reason = "PyO3 passes extracted arguments by value")]
     fn limit<'py>(
         &mut self,
         goal: &Bound<'py, PyAny>,
@@ -120,7 +120,7 @@ impl CommandLimiter {
 
     #[doc = stub!(CommandLimiter.update)]
     #[pyo3(signature = (positions, position, ok, time, velocity, load, current, *, goal, limit, dt, now, max_jumps, max_heat))]
-    #[expect(clippy::too_many_arguments, reason = "a reading, and the command that was in force")]
+    #[expect(clippy::too_many_arguments, reason = "a reading and the command in force")]
     fn update<'py>(
         &mut self,
         positions: &Bound<'py, PositionFilter>,

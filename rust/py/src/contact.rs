@@ -92,7 +92,8 @@ pub(crate) struct ContactEstimator {
     n: usize,
 }
 
-fn part(values: Option<&JointVec>, n: usize) -> Option<&[f64]> {
+/// Returns the values of the `n` joints, without the padding.
+fn of_joints(values: Option<&JointVec>, n: usize) -> Option<&[f64]> {
     values.map(|values| &values[..n])
 }
 
@@ -100,7 +101,7 @@ fn part(values: Option<&JointVec>, n: usize) -> Option<&[f64]> {
 const SHARE: &str = "a number; a share of 2 % is 0.02";
 
 /// Reads the argument `axes`, an axis key, as one flag per axis.
-fn keyed(axes: &Bound<'_, PyAny>) -> PyResult<[bool; MAX_AXES]> {
+fn axis_flags(axes: &Bound<'_, PyAny>) -> PyResult<[bool; MAX_AXES]> {
     parse_axes("axes", &arguments::text("axes", "an axis key such as 'xyz rpy'", axes)?).or_raise()
 }
 
@@ -182,7 +183,7 @@ impl ContactEstimator {
         accept_thresholds: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Self> {
         let mut options = ContactOptions {
-            axes: axes.map(keyed).transpose()?,
+            axes: axes.map(axis_flags).transpose()?,
             kp_error: kp_error.map(|share| real("kp_error", SHARE, share)).transpose()?,
             torque_constant: torque_constant.map(|values| vector("torque_constant", values)).transpose()?,
             touch: thresholds("touch", touch)?,
@@ -234,9 +235,9 @@ impl ContactEstimator {
         let dt = dt.map(|dt| real("dt", SECONDS, dt)).transpose()?;
         let input = ContactInput {
             dt,
-            dq: part(dq.as_ref(), n),
-            load: part(load.as_ref(), n),
-            current: part(current.as_ref(), n),
+            dq: of_joints(dq.as_ref(), n),
+            load: of_joints(load.as_ref(), n),
+            current: of_joints(current.as_ref(), n),
             sent: sent.as_ref().map(|[goal, limit]| [&goal[..n], &limit[..n]]),
         };
         let mut own = in_use::exclusive(slf)?;

@@ -25,8 +25,8 @@ pub(crate) struct HandGuidingLaw {
 impl HandGuidingLaw {
     #[new]
     #[pyo3(signature = (model, servos, *, q, goal, swung, lead, friction, damping, stiffness_error, delay, torque_share, payload_moments))]
-    #[expect(clippy::needless_pass_by_value, reason = "what PyO3 extracts it hands over")]
-    #[expect(clippy::too_many_arguments, reason = "the result of a swing, by name")]
+    #[expect(clippy::needless_pass_by_value, reason = "PyO3 passes extracted arguments by value")]
+    #[expect(clippy::too_many_arguments, reason = "keyword-only: the result of a swing")]
     fn new(
         model: &Bound<'_, PyAny>,
         servos: &Bound<'_, PyAny>,

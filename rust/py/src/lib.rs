@@ -45,8 +45,8 @@ mod words;
 
 /// The compiled part of `pliant`.
 ///
-/// Requires the interpreter lock: arrays are read through their C structure, and the pool of commands relies on
-/// reference counts.
+/// Requires the interpreter lock: arrays are read through their C structure, and the pool from which control steps take
+/// their commands relies on reference counts.
 #[pyo3::pymodule(gil_used = true)]
 mod _core {
     use pyo3::exceptions::PyRuntimeWarning;

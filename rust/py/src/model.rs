@@ -113,7 +113,7 @@ impl Model {
     }
 
     #[doc = stub!(Model.with_servos)]
-    #[expect(clippy::needless_pass_by_value, reason = "what PyO3 extracts it hands over")]
+    #[expect(clippy::needless_pass_by_value, reason = "PyO3 passes extracted arguments by value")]
     fn with_servos(
         &self,
         py: Python<'_>,

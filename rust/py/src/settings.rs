@@ -123,7 +123,7 @@ impl Settings {
 
     #[doc = stub!(Settings.raise_soft)]
     #[pyo3(signature = (model, path = None, *, servos = None))]
-    #[expect(clippy::needless_pass_by_value, reason = "what PyO3 extracts it hands over")]
+    #[expect(clippy::needless_pass_by_value, reason = "PyO3 passes extracted arguments by value")]
     fn raise_soft(
         &self,
         py: Python<'_>,

@@ -198,6 +198,7 @@ impl<'py> BatchCall<'_, 'py> {
         }
     }
 
+    /// Reads `targets`: an array with a pose (or position) for each of `count` arms, or else one pose for all.
     fn wanted(&self, count: usize, outs: &[&Bound<'_, PyAny>]) -> PyResult<Wanted<'_, 'py>> {
         let (name, targets) = ("targets", self.targets);
         let parts: &'static [&'static [usize]] = if self.position_only { &[&[4, 4], &[3]] } else { &[&[4, 4]] };

@@ -25,7 +25,7 @@ impl ThermalModel {
 #[pymethods]
 impl ThermalModel {
     #[new]
-    #[expect(clippy::needless_pass_by_value, reason = "what PyO3 extracts it hands over")]
+    #[expect(clippy::needless_pass_by_value, reason = "PyO3 passes extracted arguments by value")]
     #[pyo3(signature = (max_torque, stall_current=None, *, continuous, seconds, supply, hottest))]
     fn new(
         max_torque: Vec<f64>,
@@ -52,10 +52,10 @@ impl ThermalModel {
         new_array(py, &[self.core.heat().len()], self.core.temperature())
     }
 
-    #[doc = stub!(ThermalModel.last_temperature)]
+    #[doc = stub!(ThermalModel.zero_torque_temperature)]
     #[getter]
-    fn last_temperature(&self) -> f64 {
-        self.core.last_temperature()
+    fn zero_torque_temperature(&self) -> f64 {
+        self.core.zero_torque_temperature()
     }
 
     #[doc = stub!(ThermalModel.set_temperature)]

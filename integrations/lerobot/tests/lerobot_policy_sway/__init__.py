@@ -26,13 +26,13 @@ from torch import Tensor, nn
 #: Period of the oscillation [steps].
 PERIOD = 60
 #: Amplitude of the oscillation [°].
-SIZE = 15.0
+AMPLITUDE = 15.0
 
 
 @PreTrainedConfig.register_subclass("sway")
 @dataclass
 class SwayConfig(PreTrainedConfig):
-    """Shape of the action.
+    """Sizes of observation and action, and the force that the policy commands.
 
     Attributes:
         n_states, n_actions: Number of observed and of commanded values.
@@ -58,7 +58,7 @@ class SwayConfig(PreTrainedConfig):
 
 
 class SwayPolicy(PreTrainedPolicy):
-    """Moves the first motor along a sine; all other motors go to 0."""
+    """Moves the first motor along a sine and commands `force`; all other motors go to 0."""
 
     config_class = SwayConfig
     name = "sway"
@@ -85,7 +85,7 @@ class SwayPolicy(PreTrainedPolicy):
         if state.shape[-1] != self.config.n_states:
             raise ValueError(f"{state.shape[-1]} states, not {self.config.n_states}")
         action = torch.zeros(1, self.config.n_actions)
-        action[0, 0] = SIZE * math.sin(2.0 * math.pi * self.count / PERIOD)
+        action[0, 0] = AMPLITUDE * math.sin(2.0 * math.pi * self.count / PERIOD)
         if self.config.force:
             action[0, -1] = self.config.force
         self.count += 1

@@ -11,9 +11,9 @@ from pliant.servo.models.base import Block, Family, Register, ServoModel
 __all__ = ["Block", "Family", "Register", "ServoModel", "by_number", "get_model", "list_models"]
 
 _MODELS: dict[str, ServoModel] = {
-    row.name: row for row in (*feetech.MODELS, *protocol1.MODELS, *protocol2.MODELS)
+    model.name: model for model in (*feetech.MODELS, *protocol1.MODELS, *protocol2.MODELS)
 }
-_KEYS = {key.upper(): row for row in _MODELS.values() for key in (row.name, *row.aliases)}
+_KEYS = {key.upper(): model for model in _MODELS.values() for key in (model.name, *model.aliases)}
 
 
 def list_models() -> tuple[str, ...]:
@@ -27,15 +27,15 @@ def get_model(name: str) -> ServoModel:
     Raises:
         ConfigError: The name is unknown; the message suggests similar names.
     """
-    row = _KEYS.get(name.strip().upper())
-    if row is not None:
-        return row
     text = name.strip().upper()
-    near = difflib.get_close_matches(text, _KEYS, n=3, cutoff=0.5)
-    near += [key for key in _KEYS if key.startswith(text) and key not in near]
-    shown = ", ".join(dict.fromkeys(_KEYS[key].name for key in near)) or ", ".join(_MODELS)
-    hint = "did you mean" if near else "there are"
-    raise ConfigError(f"no servo model {name!r}; {hint}: {shown}")
+    model = _KEYS.get(text)
+    if model is not None:
+        return model
+    similar = difflib.get_close_matches(text, _KEYS, n=3, cutoff=0.5)
+    similar += [key for key in _KEYS if key.startswith(text) and key not in similar]
+    names = ", ".join(dict.fromkeys(_KEYS[key].name for key in similar)) or ", ".join(_MODELS)
+    hint = "did you mean" if similar else "there are"
+    raise ConfigError(f"no servo model {name!r}; {hint}: {names}")
 
 
 def by_number(number: int) -> tuple[ServoModel, ...]:
@@ -43,4 +43,4 @@ def by_number(number: int) -> tuple[ServoModel, ...]:
 
     There may be several: Feetech's variants share one number.
     """
-    return tuple(row for row in _MODELS.values() if row.model_number == number)
+    return tuple(model for model in _MODELS.values() if model.model_number == number)

@@ -37,11 +37,11 @@ STS = Family(
         "overload_torque": Register(36, 1),
         "torque_enable": Register(40, 1),
         "acceleration_cap": Register(41, 1),
-        "lock": Register(55, 1),
         "goal": Register(42, 2, "bit15"),
         "goal_time": Register(44, 2),
         "speed_cap": Register(46, 2, "bit15"),
         "limit": Register(48, 2),
+        "lock": Register(55, 1),
         "position": Register(56, 2, "bit15"),
         "speed": Register(58, 2, "bit15"),
         "load": Register(60, 2, "bit10"),
@@ -123,9 +123,7 @@ MODELS = (
     _sts3215(
         "STS3215-7.4V", ("STS3215-C001", "STS3215"), (7.4, _STALL_7V4), 52.0, _SUPPLY_7V4, GEARS
     ),
-    _sts3215(
-        "STS3215-12V", ("STS3215-C018",), (12.0, 30.0 * KG_CM), 45.0, (6.0, 12.6), _geared(345)
-    ),
+    _sts3215("STS3215-12V", ("STS3215-C018",), (12.0, 30.0 * KG_CM), 45.0, (6.0, 12.6), GEARS),
     _sts3215(
         "STS3215-7.4V-191",
         ("STS3215-C044",),

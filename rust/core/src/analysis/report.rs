@@ -85,7 +85,7 @@ pub struct AxisReport {
     pub coupling: [f64; 2],
     /// Name of the other axis that contributes most to `coupling`; `None` if no other axis contributes.
     pub coupled_to: [Option<&'static str>; 2],
-    /// Strength of the axis against pushes to which it does not yield.
+    /// Largest force with which the axis resists pushes to which it does not yield.
     pub hold: f64,
     /// Default of `hold` before a larger `soft` or `firm` raised it; `None` if they did not.
     pub default_hold: Option<f64>,

@@ -234,7 +234,7 @@ impl HandGuiding {
         [&self.high, &self.low].map(|compliance| compliance[..self.n].iter().map(|c| 1.0 / c).collect())
     }
 
-    /// Returns the play of each joint in the last tick (n) [rad].
+    /// Returns the play w of each joint in the last tick (n) [rad]: how far the joint may move before its goal follows.
     pub fn play(&self) -> &[f64] {
         &self.play[..self.n]
     }

@@ -6,15 +6,16 @@ use crate::error::{Error, Result};
 const PUSHED_SPEED: f64 = 2.0;
 /// Change of position that is accepted between two readings, however short the time between them [rad].
 const JUMP_MARGIN: f64 = 0.2;
-/// Time between two readings above which the accepted change grows even after an implausible position, because the
-/// joint may have moved in that time [s].
+/// Gap between two readings above which the accepted change grows even after an implausible position [s]: the joint may
+/// have moved in the gap.
 const READING_GAP: f64 = 0.1;
 
 /// Filter of the positions of N joints; [`PositionFilter::update`] is called once per reading.
 ///
 /// A position is accepted if it was read, is finite, and lies within `2 v_max Δt + 0.2 rad` of the last accepted
-/// position of the joint; v_max is its largest speed [rad/s], Δt the time since that position [s]. Δt does not grow
-/// while implausible positions arrive, so that a lasting jump of an encoder stays rejected.
+/// position of the joint; v_max is its largest speed [rad/s], Δt the time since that position [s]. After an implausible
+/// position, only gaps of more than 0.1 s between readings count as part of Δt, so that a lasting jump of an encoder
+/// stays rejected. The first position of a joint is always accepted.
 #[derive(Debug, Clone)]
 pub struct PositionFilter {
     max_speed: Vec<f64>,
@@ -24,8 +25,8 @@ pub struct PositionFilter {
     accepted: Vec<bool>,
     /// Times of the last readings [s], accepted or not.
     last: Vec<f64>,
-    /// Δt of the next position [s].
-    allowed: Vec<f64>,
+    /// Δt of each joint up to the last reading [s].
+    elapsed: Vec<f64>,
     rejected: Vec<u32>,
     jump: Vec<f64>,
 }
@@ -47,7 +48,7 @@ impl PositionFilter {
             jumps: 0,
             accepted: vec![false; n],
             last: vec![0.0; n],
-            allowed: vec![0.0; n],
+            elapsed: vec![0.0; n],
             rejected: vec![0; n],
             jump: vec![0.0; n],
         };
@@ -60,7 +61,7 @@ impl PositionFilter {
         self.position.fill(f64::NAN);
         self.time.fill(f64::NEG_INFINITY);
         self.last.fill(f64::NEG_INFINITY);
-        self.allowed.fill(0.0);
+        self.elapsed.fill(0.0);
         self.jump.fill(0.0);
         self.rejected.fill(0);
     }
@@ -80,17 +81,18 @@ impl PositionFilter {
         &self.accepted
     }
 
-    /// Returns the number of positions rejected so far because they were too far from the last one.
+    /// Returns the number of positions of all joints that were rejected so far as too far from the last accepted one.
     pub fn jumps(&self) -> u64 {
         self.jumps
     }
 
-    /// Returns the numbers of implausible positions in a row (N).
+    /// Returns the number of implausible positions of each joint since its last accepted one (N).
     pub fn rejected(&self) -> &[u32] {
         &self.rejected
     }
 
-    /// Returns the distances of the last implausible positions from the accepted ones (N) [rad].
+    /// Returns the distance of each joint's latest implausible position from the accepted one (N) [rad]; 0 before the
+    /// first.
     pub fn jump(&self) -> &[f64] {
         &self.jump
     }
@@ -121,14 +123,14 @@ impl PositionFilter {
             let gap = if is_first { 0.0 } else { time[i] - self.last[i] };
             self.last[i] = time[i];
             if self.rejected[i] == 0 || gap > READING_GAP {
-                self.allowed[i] += gap;
+                self.elapsed[i] += gap;
             }
             let distance = (position[i] - self.position[i]).abs();
-            let reach = (PUSHED_SPEED * self.max_speed[i]).mul_add(self.allowed[i], JUMP_MARGIN);
+            let reach = (PUSHED_SPEED * self.max_speed[i]).mul_add(self.elapsed[i], JUMP_MARGIN);
             if is_first || distance <= reach {
                 self.accepted[i] = true;
                 (self.position[i], self.time[i]) = (position[i], time[i]);
-                (self.allowed[i], self.rejected[i]) = (0.0, 0);
+                (self.elapsed[i], self.rejected[i]) = (0.0, 0);
             } else {
                 self.jumps += 1;
                 self.jump[i] = distance;

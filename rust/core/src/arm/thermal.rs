@@ -90,14 +90,15 @@ impl ThermalModel {
     }
 
     /// Returns the temperature at which the torque limit of a servo becomes zero [°C].
-    pub fn last_temperature(&self) -> f64 {
+    pub fn zero_torque_temperature(&self) -> f64 {
         self.options.shutdown_temperature - SHUTDOWN_MARGIN
     }
 
-    /// Returns true if the heat of a servo is above `max_heat`, or its temperature at least [`Self::last_temperature`].
+    /// Returns true if the heat of a servo is above `max_heat`, or its temperature is at least
+    /// [`Self::zero_torque_temperature`].
     pub fn is_too_hot(&self, max_heat: f64) -> bool {
         self.heat.iter().any(|heat| *heat > max_heat)
-            || self.temperature.iter().any(|temperature| *temperature >= self.last_temperature())
+            || self.temperature.iter().any(|temperature| *temperature >= self.zero_torque_temperature())
     }
 
     /// Updates the heat after the servos have exerted the torques (N) [N·m] for `dt` [s].
@@ -120,7 +121,7 @@ impl ThermalModel {
         for (i, ceiling) in out.iter_mut().enumerate().take(self.heat.len()) {
             let over = ((self.heat[i] - WARM) / (1.0 - WARM)).clamp(0.0, 1.0);
             *ceiling = self.max_torque[i] * (1.0 - (1.0 - self.options.continuous) * over);
-            let left = (self.last_temperature() - self.temperature[i]) / DERATING_RANGE;
+            let left = (self.zero_torque_temperature() - self.temperature[i]) / DERATING_RANGE;
             if !left.is_nan() {
                 *ceiling *= left.clamp(0.0, 1.0);
             }

@@ -146,8 +146,8 @@ pub(crate) fn slew<J: JointVector>(before: Goals<J>, to: Goals<J>, step: f64) ->
     let (distance, room) = (J::abs(motion), step - J::abs(lift));
     let mut share = 1.0;
     if room.is_any_lt(distance) {
-        // While a gravity part uses up the whole step, a motion that is only rounding error must not stop the other
-        // joints.
+        // If the gravity part of a joint uses up its whole step, a remaining motion of the size of rounding errors must not
+        // stop the other joints.
         let free = J::max(room, step * J::splat(1e-9));
         let missing = J::select_lt(free, distance, J::splat(1.0) - room / distance, J::splat(0.0));
         share -= missing.max_element();

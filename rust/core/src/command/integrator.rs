@@ -40,7 +40,8 @@ impl Integrator<'_> {
         if !by_force && self.softness.iter().all(|&w| w <= 0.0) {
             return;
         }
-        // The stored lead z exerts the wrench W = (C + λ²/k̄)⁻¹ J z. Subtract the part that may stay.
+        // The stored lead z exerts the wrench W = (C + λ²/k̄)⁻¹ J z, with the compliance C = J K_p⁻¹ Jᵀ, the damping λ²
+        // and the mean stiffness k̄. Remove all of W except the part that may stay.
         let (rows, compliance) = (load_rows(self.rows), JointVec16::load(&servos.compliance));
         let c = damped(weighted_gram(&rows, compliance), &self.damping.map(|squared| squared / servos.kp_mean));
         let mut wrench = Ldlt6::new::<BaselineF64>(&c).solve::<BaselineF64>(&mul(&rows, JointVec16::load(stored)));

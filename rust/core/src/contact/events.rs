@@ -15,6 +15,7 @@ pub(super) struct Events {
     guard: f64,
     /// Time for which the force along each axis has contradicted its state in `on` [s].
     against: AxisVec,
+    /// True for axes with an event.
     on: [bool; MAX_AXES],
 }
 
@@ -81,13 +82,13 @@ mod tests {
     }
 
     #[test]
-    fn a_threshold_is_at_least_the_guarded_uncertainty_unless_accepted() {
-        let (mut guarded, mut bare) = (events(1.0), events(0.0));
+    fn a_threshold_is_at_least_guard_times_the_uncertainty() {
+        let (mut guarded, mut unguarded) = (events(1.0), events(0.0));
         for _ in 0..10 {
             assert!(!feel(&mut guarded, 11.0, 12.0));
         }
-        (0..2).for_each(|_| assert!(!feel(&mut bare, 11.0, 12.0)));
-        assert!(feel(&mut bare, 11.0, 12.0));
+        (0..2).for_each(|_| assert!(!feel(&mut unguarded, 11.0, 12.0)));
+        assert!(feel(&mut unguarded, 11.0, 12.0));
     }
 
     #[test]

@@ -5,6 +5,9 @@
 //!
 //! `JᵀF = g + M q̈ + τ_f tanh(v/v₀) + d v − clip(k_p (goal − q) − k_v v, ±limit)`
 //!
+//! with the Jacobian J, the mass matrix M, the joint velocity v, the speed v₀ at which friction saturates, and the
+//! servos' stiffness k_p and derivative gain k_v.
+//!
 //! The estimate runs beside the controller's steps and does not change them.
 
 mod events;

@@ -162,7 +162,8 @@ impl Controller {
                 free.settings.tracking.goal_slew = f64::INFINITY;
                 free.settings.max_tool_speed = [f64::INFINITY; 2];
                 let step = |arm: &mut Self, one: &ArmInput<'_>, _: Option<&mut [f64]>, out: [&mut [f64]; 3]| {
-                    // The speed of the reference is unbounded here, so its start pose has no effect.
+                    // The reference may jump to the target in this call. Only deviation limits hold it back from the
+                    // target, to where it started: at the tool, which a new state does.
                     arm.state = if arm.params.deviation_limits.is_empty() {
                         State::resting(one.q(), one.target)
                     } else {

@@ -80,7 +80,7 @@ pub fn null_space_projector(jacobian: &DMatrix<f64>, damping: f64, kind: Project
 }
 
 /// Computes the responsibility R, n × (k + 1): the columns of `|J⁺ diag(Δx)|`, then `|α N∇g|`. Equations (6), (7) of
-/// the paper.
+/// the paper, with the task velocity Δx, the gain α of the null-space motion, the projector N and the gradient ∇g.
 ///
 /// # Errors
 /// [`Error::Shape`] for inconsistent sizes, [`Error::OutOfRange`] for an entry that is not finite, [`Error::Config`] if

@@ -42,8 +42,8 @@ impl KinematicScratch {
 #[derive(Debug, Clone)]
 struct SimpleScratch {
     cells: JointAxes<MAX_JOINTS>,
-    /// First moment [kg·m] in base axes: at first of each joint's rigid group, later about the joint's origin and of
-    /// everything that the joint carries.
+    /// First moment of mass [kg·m] in base axes. After the forward pass: of each joint's rigid group. After the backward
+    /// pass: of everything that the joint carries, about the joint's origin.
     moments: [PaddedVec3; MAX_JOINTS],
 }
 
@@ -61,7 +61,7 @@ impl<const N: usize> JointAxes<N> {
         Self { origin: zero, axis: zero }
     }
 
-    /// Returns the joint axes, and the Jacobian at the tool for revolute joints.
+    /// Returns the joint axes, and the Jacobian at the tool as if every joint were revolute.
     #[inline(always)]
     fn jacobian<J: JointVector>(&self, tool: &Pose) -> ([J; 3], [J; MAX_AXES]) {
         let (origin, axis) = (J::components(&self.origin), J::components(&self.axis));

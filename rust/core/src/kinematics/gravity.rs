@@ -33,7 +33,7 @@ impl Chain {
 
     /// Computes the torques [N·m, N for prismatic joints] that hold the arm at rest; `g` [m/s²] in the base.
     ///
-    /// They are the gradient of the potential energy `−Σ mᵢ g·cᵢ`, computed from the tips to the base: a joint with
+    /// They are the gradient of the potential energy `−Σ mᵢ g·cᵢ` of masses mᵢ at cᵢ, from the tips to the base: a joint with
     /// origin `o` and axis `z` that carries the mass `M` with first moment `S` has the torque `τ = −g·(z × (S − M o))`,
     /// a prismatic joint the force `−M g·z`.
     pub fn gravity(&self, frames: &JointFrames, masses: &GroupMasses, g: [f64; 3], out: &mut JointVec) {

@@ -8,7 +8,7 @@ use crate::math::simd::BaselineF64;
 use crate::math::spatial::{Mat3, Vec3, add, cross, dot, rotate, sub};
 use crate::model::Chain;
 
-/// Mass and first and second moments of everything beyond a joint, in base axes about the base's origin.
+/// Sums over the point masses m [kg] beyond a joint, with their positions c [m] in base axes.
 #[derive(Clone, Copy)]
 struct CompositeMass {
     /// Total mass Σ m [kg].
@@ -32,7 +32,7 @@ impl CompositeMass {
     }
 
     /// Returns momentum [kg·m/s] and angular momentum about the base's origin [kg·m²/s] of all masses for a rotation at
-    /// 1 rad/s about an axis through `o`.
+    /// 1 rad/s about the axis z (`axis`) through `o`.
     #[inline]
     fn turning(&self, axis: &Vec3, o: &Vec3) -> (Vec3, Vec3) {
         // Σ m z × (c − o), and Σ m c × (z × (c − o)) with c × (z × c) = (c·c) z − c (c·z).

@@ -5,7 +5,7 @@ use crate::{JointVec, MAX_JOINTS};
 /// A push does not load a joint if its lever about that joint is shorter than this share of its longest lever.
 const MIN_RELATIVE_LEVER: f64 = 1e-9;
 
-/// Returns the push along d, with `a = Jᵀd`, at which each joint yields: `(L_i + s_i g_i) / |a_i|`, `s_i = sign(a_i)`.
+/// Returns the push along a direction d, with `a = Jᵀd`, at which each joint yields: `(L_i + s_i g_i) / |a_i|`, `s_i = sign(a_i)`.
 ///
 /// L is the torque limit, g the gravity torque. Against a push F, servo i exerts `g_i − F a_i`, which must stay within
 /// ±L_i. ∞ for a joint that the push does not load.

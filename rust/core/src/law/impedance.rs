@@ -19,8 +19,9 @@ fn share<J: JointVector>(input: &LawInput<'_, J>, gains: J::Axes, bound: f64) ->
 }
 
 /// Returns the force `F = clip(f K ẽ + f_D D (twist − v) + pacing force, ±max)` [N, N·m] of each axis, the joint speeds
-/// [rad/s] at the velocity of the reference, and the factor f. At this pose, f and f_D ≤ 1 keep `f ρ(K)` and `f_D ρ(D)`
-/// within their bounds; ρ is the ratio of the gains to the servos' stiffness.
+/// [rad/s] at the velocity of the reference, and the factor f. K and D are stiffness and damping of the axes, ẽ the
+/// adapted deviation, v the velocity of the tool. At this pose, f and f_D ≤ 1 keep `f ρ(K)` and `f_D ρ(D)` within their
+/// bounds; ρ is the ratio of the gains to the servos' stiffness.
 #[inline(always)]
 fn force<J: JointVector>(input: &LawInput<'_, J>) -> (J::Axes, J, f64) {
     let (demand, [max_stiffness, max_damping]) = (input.demand, input.params.impedance_bounds);

@@ -48,7 +48,7 @@ pub(crate) struct LawInput<'a, J: JointVector> {
     pub(crate) gradient: J,
     /// Gravity torque that the goals compensate [N·m]; 0 if the settings exclude it.
     pub(crate) gravity: J,
-    /// Factors γ b_f and γ b_d and speed v₀ of the friction feed-forward.
+    /// Parameters of the friction and damping feed-forward.
     pub(crate) friction_gains: FrictionGains,
     /// Lead (goal − q) that the integrator has stored [rad]; 0 without integration.
     pub(crate) integral: J,
@@ -237,7 +237,8 @@ impl<J: JointVector> LawInput<'_, J> {
         }
     }
 
-    /// Returns the null-space motion `−α h N ∇cost` [rad], before it is scaled to torque and speed limits.
+    /// Returns the null-space motion `−α h N ∇cost` [rad], before it is scaled to torque and speed limits: gain α,
+    /// horizon h, projector N.
     #[inline(always)]
     pub(crate) fn null_motion(&self) -> J {
         let step = self.params.alpha * self.horizon;

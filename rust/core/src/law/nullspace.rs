@@ -11,10 +11,11 @@ use crate::task::ArmState;
 use crate::task::demand::AxisDemand;
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
-/// The null-space projector `N = I − D Jᵀ (J D Jᵀ + μ²I)⁻¹ J`, applied without forming the matrix.
+/// The null-space projector `N = I − D Jᵀ (J D Jᵀ + μ²I)⁻¹ J`, applied without forming the matrix, with the task rows J
+/// and the diagonal matrix D of joint weights.
 ///
 /// Exact with μ = 0. Near singular poses, where the exact projector jumps, it is faded by `μ = μ₁ clip(2 − σ/μ₁, 0,
-/// 1)`, `μ₁ = 10⁻³ σ_max`.
+/// 1)`, `μ₁ = 10⁻³ σ_max`, with the smallest and the largest singular value σ and σ_max of the rows.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct NullSpace<'a, J: JointVector> {
     rows: &'a [J; MAX_AXES],

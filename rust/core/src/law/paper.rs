@@ -29,7 +29,8 @@ fn within_budget<J: JointVector>(pinv_transposed: &[J; MAX_AXES], step: J::Axes,
 }
 
 /// Returns the lead of the goals (goal − q) [rad]. The inverse kinematics contain only the stiff rows r; each yielding
-/// row j in S is added: `K_p⁻¹ J_rᵀ (C_rr + λ²/k̄)⁻¹ s_r + Σ_S K_p⁻¹ J_jᵀ κ_j s_j` with `κ_j = [(C + λ²/k̄)⁻¹]_jj`.
+/// row j in S is added: `K_p⁻¹ J_rᵀ (C_rr + λ²/k̄)⁻¹ s_r + Σ_S K_p⁻¹ J_jᵀ κ_j s_j` with `κ_j = [(C + λ²/k̄)⁻¹]_jj`. C,
+/// λ²/k̄ and s are those of [`CapProblem`].
 #[inline(always)]
 fn decoupled_offset<J: JointVector>(input: &LawInput<'_, J>, step: J::Axes) -> J {
     let compliance = J::load(&input.params.servos.compliance);
@@ -60,7 +61,8 @@ pub(crate) struct Paper;
 
 impl ControlLaw for Paper {
     /// Returns the lead of the goals, `K_q (h J⁺Δx − α h N∇g)` [rad], and the joint torque budgets τ^q [N·m] of
-    /// equation (11) of the paper.
+    /// equation (11) of the paper. K_q is the gain of the joints, h the horizon, Δx the task velocity, α the gain of the
+    /// null-space motion, N the null-space projector and ∇g the gradient of its cost.
     ///
     /// With `budget_on_goal`, the step of each axis is clamped to its budget τ^x.
     #[inline(always)]

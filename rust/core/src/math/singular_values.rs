@@ -63,16 +63,16 @@ impl SingularValues {
     }
 }
 
-/// Applies the Rayleigh–Ritz method to M in the span of `a = M⁻¹ w` and `b = M⁻¹ z`. Returns the unit Ritz vectors,
-/// that of the smaller Ritz value first, and the square root of the smaller value. `None` if products of a and b could
-/// overflow, or if a and b are so nearly parallel that one orthogonalization is not enough.
+/// Applies the Rayleigh–Ritz method to the symmetric matrix M in the span of `a = M⁻¹ w` and `b = M⁻¹ z`. Returns the
+/// unit Ritz vectors, that of the smaller Ritz value first, and the square root of the smaller value. `None` if products
+/// of a and b could overflow, or if a and b are so nearly parallel that one orthogonalization is not enough.
 ///
-/// The value is computed from dot products only, because it limits the latency of the step; the vectors are needed by
-/// the next step.
+/// The value is computed from dot products only, because it is on the critical path of the step; the vectors are needed
+/// only in the next step.
 #[inline(always)]
 fn ritz_2d<A: RealOps<Real = f64>>([a, b]: &[AxisVec; 2], [w, z]: &[AxisVec; 2]) -> Option<([AxisVec; 2], f64)> {
     let (aa, ab, bb) = (dot::<A>(a, a), dot::<A>(a, b), dot::<A>(b, b));
-    // Written as `!(a < b)` so that NaN takes the fallback.
+    // Negated, so that NaN takes the fallback.
     if !(ab * ab < 0.5 * aa * bb && aa < LARGE && bb < LARGE) {
         return None;
     }

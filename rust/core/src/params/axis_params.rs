@@ -57,7 +57,7 @@ pub(crate) struct AxisParams {
     pub(crate) soft_until: f64,
     /// Deviation [m or rad] above which the compliance is 0.
     pub(crate) firm_from: f64,
-    /// Half-width [m or rad] of the deviations around zero over which the axis blends between its sides.
+    /// Half-width [m or rad] of the band around deviation zero in which the axis blends between its sides.
     pub(crate) band: f64,
     /// Strength as a function of the deviation.
     pub(crate) profile: Profile,

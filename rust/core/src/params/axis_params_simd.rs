@@ -35,7 +35,7 @@ pub(crate) struct AxisParamsSimd {
     pub(crate) compliance_slope: AxisArray,
     /// Reciprocal of the deviation above which a push is detected: `soft_until`, at least a tenth of `firm_from`.
     pub(crate) push_slope: AxisArray,
-    /// Half-width [m, rad] of the deviations around zero over which an axis blends between its sides.
+    /// Half-width [m, rad] of the band around deviation zero in which an axis blends between its sides.
     pub(crate) band: AxisArray,
     /// 1 / (2 band), precomputed to save a division in the step.
     pub(crate) band_slope: AxisArray,

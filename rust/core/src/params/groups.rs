@@ -125,8 +125,8 @@ pub struct PaperOptions {
     pub gravity_scale: f64,
     /// Speed v₀ [rad/s] at which the friction feed-forward saturates.
     pub friction_speed: f64,
-    /// Half-width of the band of deviations around zero in which an axis that yields to one side blends between its two
-    /// sides, as a share of `soft_until`; `None`: 0.1, under law `paper` 0.
+    /// Half-width of a band around deviation zero, as a share of `soft_until`; `None`: 0.1, or 0 under law `paper`. In
+    /// the band, an axis whose two sides have different parameters blends between them.
     pub direction_band: Option<f64>,
     /// True to compute the compliance from the raw deviation; false: from the adapted deviation.
     pub raw_deviation: bool,

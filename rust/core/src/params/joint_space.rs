@@ -36,10 +36,10 @@ impl JointSpaceStats {
     /// Returns the median smallest singular value of the task rows, see [`median_sigma`]; cached for these axes, frame
     /// and length.
     pub(crate) fn median_sigma(&mut self, model: &Model, axes: &[usize], frame: &Frame, length: f64) -> f64 {
-        if let Some((of, within, unit, sigma)) = &self.sigma
-            && of == axes
-            && within == frame
-            && unit.to_bits() == length.to_bits()
+        if let Some((cached_axes, cached_frame, cached_length, sigma)) = &self.sigma
+            && cached_axes == axes
+            && cached_frame == frame
+            && cached_length.to_bits() == length.to_bits()
         {
             return *sigma;
         }
@@ -48,7 +48,7 @@ impl JointSpaceStats {
         sigma
     }
 
-    /// Returns the median squared time constants [s²] of the task rows, see [`squared_time_constants`]; cached for
+    /// Returns the median squared time constants [s²] of the task axes, see [`squared_time_constants`]; cached for
     /// these axes, frame and servos.
     pub(crate) fn squared_time_constants(
         &mut self,
@@ -58,10 +58,10 @@ impl JointSpaceStats {
         frame: &Frame,
     ) -> AxisVec {
         let joints = [servos.kp, servos.armature];
-        if let Some((of, within, with, time_constants)) = &self.time_constants
-            && of == axes
-            && within == frame
-            && with.map(|v| v.map(f64::to_bits)) == joints.map(|v| v.map(f64::to_bits))
+        if let Some((cached_axes, cached_frame, cached_joints, time_constants)) = &self.time_constants
+            && cached_axes == axes
+            && cached_frame == frame
+            && cached_joints.map(|v| v.map(f64::to_bits)) == joints.map(|v| v.map(f64::to_bits))
         {
             return *time_constants;
         }
@@ -73,8 +73,8 @@ impl JointSpaceStats {
     /// Returns the median static force [N] and torque [N·m] of the arm with the model's own payload and gravity, see
     /// [`static_capacity`]; cached for these usable torques.
     pub(crate) fn static_capacity(&mut self, model: &Model, usable: &JointVec) -> [f64; 2] {
-        if let Some((of, capacity)) = &self.capacity
-            && of.map(f64::to_bits) == usable.map(f64::to_bits)
+        if let Some((cached_usable, capacity)) = &self.capacity
+            && cached_usable.map(f64::to_bits) == usable.map(f64::to_bits)
         {
             return *capacity;
         }
@@ -85,8 +85,9 @@ impl JointSpaceStats {
     }
 }
 
-/// Returns the squared time constant [s²] of each task axis on the servos' springs: the median over 64 configurations
-/// of `C_jj Λ_jj`, with `C = J K_p⁻¹ Jᵀ` and `Λ_jj = 1 / (J M⁻¹ Jᵀ)_jj`. 0 if the masses are unknown.
+/// Returns the squared time constant [s²] of each task axis, its inertia times the compliance of the servos: the median
+/// over 64 configurations of `Λ_jj C_jj`, with `Λ_jj = 1 / (J M⁻¹ Jᵀ)_jj` and `C = J K_p⁻¹ Jᵀ`, where M is the mass
+/// matrix. 0 if the masses are unknown.
 fn squared_time_constants(model: &Model, servos: &ServoArrays, axes: &[usize], frame: &Frame) -> AxisVec {
     let (n, chain) = (model.n(), model.chain());
     let masses = chain.masses(model.payload());

@@ -72,7 +72,7 @@ impl Settings {
     }
 
     /// Returns settings for pulling a drawer open or pushing it shut along `axis`, with at most the force `pull` [N]
-    /// (default: the arm's `firm`).
+    /// (default: the default [`Axis::firm`] of this arm).
     ///
     /// The direction of a slide is rarely known exactly, so the other translations follow it (η = 0.95, the largest
     /// that does not require a known `k_p`). Rotations hold, because a rotated drawer jams. At the end stop the force
@@ -89,10 +89,10 @@ impl Settings {
     }
 
     /// Returns settings for pressing on a surface along its normal `axis` with the force `press` [N] (default: the
-    /// arm's `soft`) while the tool moves along the surface.
+    /// default [`Axis::soft`] of this arm) while the tool moves along the surface.
     ///
     /// Place the target behind the surface by at least `press` divided by the arm's stiffness, plus the unevenness of
-    /// the surface; the force then is `press` regardless of the surface's height. Rotations about the other two axes
+    /// the surface. The force is then `press`, whatever the height of the surface. Rotations about the other two axes
     /// yield, so that a flat tool stays flat on the surface.
     ///
     /// # Errors

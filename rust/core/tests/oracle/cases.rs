@@ -160,8 +160,8 @@ pub(crate) fn settings(random: &mut Random, model: &Model, law: Law) -> Settings
     }
 }
 
-/// Returns `settings`, changed until this arm accepts them: springs and dampers are reduced to their bound, and the
-/// damping is fixed if the axes cannot be moved independently.
+/// Returns `settings`, changed until this arm accepts them: stiffness and damping of the axes are reduced in steps of
+/// 30 %, and the pseudo-inverse gets a constant damping if the axes cannot be moved independently.
 pub(crate) fn accepted_settings(model: &Arc<Model>, mut settings: Settings, servos: Option<&Servos>) -> Settings {
     while let Err(error) = Controller::new(Arc::clone(model), settings.clone(), servos.cloned()) {
         let text = error.to_string();

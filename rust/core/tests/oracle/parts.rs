@@ -1,4 +1,4 @@
-//! Properties of arm, servos and axes that the oracle computes before a law.
+//! Properties of the arm, the servos and the axes that the oracle computes before it evaluates a law.
 
 use nalgebra::{Matrix3, Rotation3, Vector3};
 use pliant_core::params::{CompliantSide, Frame, Gain, Law, Profile};

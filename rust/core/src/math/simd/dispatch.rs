@@ -152,7 +152,7 @@ impl SimdLevel {
     pub(crate) fn dispatch<K: Kernel>(self, kernel: K) -> K::Output {
         match self.0 {
             Set::Baseline => baseline(kernel),
-            // SAFETY: `available` alone creates this value, after it has checked that the processor has all required
+            // SAFETY: only `available` creates this value, after it has checked that the processor has all required
             // features.
             #[cfg(target_arch = "x86_64")]
             Set::Avx2 => unsafe { avx2(kernel) },

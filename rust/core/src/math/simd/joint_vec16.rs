@@ -12,9 +12,13 @@ use crate::{JointVec, MAX_JOINTS};
 /// One number per joint, padded to 16: for arms with more than [`LANES`](super::LANES) joints and for code that runs
 /// rarely.
 ///
-/// Each operation is a call. Inlined, the control step of a large arm took a sixth of the size of the Python wheel.
+/// Each operation is a function call that is not inlined: inlined operations made the control step of a large arm a
+/// sixth of the size of the Python wheel.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct JointVec16(JointVec, #[expect(dead_code, reason = "a larger value is copied by a call")] u64);
+pub(crate) struct JointVec16(
+    JointVec,
+    #[expect(dead_code, reason = "the padding makes the compiler copy it by a call")] u64,
+);
 
 /// Evaluates an elementwise operation as a call.
 macro_rules! each {

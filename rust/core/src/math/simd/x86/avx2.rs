@@ -110,7 +110,7 @@ fn transposed_back([[a, e], [b, f], [c, g], [d, h]]: [[Register; 2]; 4]) -> [Reg
 /// Returns the three components of the four vectors from index `first` on.
 #[inline(always)]
 fn components_of_four(cells: &[PaddedVec3; LANES], first: usize) -> [Register; 3] {
-    // SAFETY: the processor has the instructions, see `SimdLevel`; a cell has four.
+    // SAFETY: the processor has the instructions, see `SimdLevel`; a cell has four numbers.
     let rows = unsafe {
         [
             loadu(cells[first].as_ptr()),

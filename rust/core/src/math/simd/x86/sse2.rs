@@ -156,7 +156,7 @@ fn components(cells: &[PaddedVec3; LANES]) -> [[Register; 4]; 3] {
     let mut out = unsafe { [[set1(0.0); 4]; 3] };
     for pair in 0..4 {
         let (a, b) = (&cells[2 * pair], &cells[2 * pair + 1]);
-        // SAFETY: every x86-64 processor has SSE2; a cell has four.
+        // SAFETY: every x86-64 processor has SSE2; a cell has four numbers.
         unsafe {
             let (xy, more) = (loadu(a.as_ptr()), loadu(b.as_ptr()));
             (out[0][pair], out[1][pair]) = (low(xy, more), high(xy, more));
