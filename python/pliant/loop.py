@@ -252,7 +252,7 @@ class Loop:
             goals computed from them [s]; None before the first 50 commands.
 
     Raises:
-        TypeError: `arm` is not an arm, `controller` has no `reset`, or `recorder` is no recorder.
+        TypeError: `arm` is not an arm, `controller` has no `reset`, or `recorder` is not one.
         ConfigError: The controller's model is of another robot than the arm's (masses, limits,
             payload, gravity, base and tip may differ). The rate is below 1 Hz, or its period is
             not a multiple of a simulated arm's period; or a time is negative or not a number; or

@@ -253,7 +253,8 @@ class ArmIO:
         self._watchdog = 0.0
         # Times of the last bus access and of the last position received [s].
         self._last_access = self._last_position = self.clock.now()
-        #: Joints (N,) of an ended program that may have torque, and have not answered so far.
+        #: Mask (N,) of joints whose torque an ended program may have left on, and that have not
+        #: answered yet.
         self.torque_unknown: Mask = np.zeros(size, dtype=bool)
 
     # Methods that read from the drive.

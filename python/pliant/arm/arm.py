@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     Exit = Literal["lower", "leave_enabled"]
 
 
-#: Time for torque on after which the guardian takes the program for hanging [s]; retries on a bad
+#: Duration of torque on above which the program hangs for the guardian [s]; retries on a bad
 #: line take seconds.
 ENABLE_TIME = 10.0
 
@@ -127,8 +127,8 @@ class Arm:
         self._signals = Signals(self._supervisor.abort.set) if handle_signals else None
         self._has_guardian = instance(guardian, bool, "guardian") and is_available(drive)
         self._guardian: Guardian | None = None
-        #: True from the begin of a descent until torque is off or was left on deliberately. If a
-        #: descent fails, it stays True, and the guardian takes the arm over.
+        #: True from the beginning of a descent until torque is off or was left on deliberately.
+        #: If a descent fails, it stays True, and the guardian takes the arm over.
         self._is_unfinished = False
         self._exit_message: str | None = None
         self._build()

@@ -170,7 +170,7 @@ class Port:
         return accepted
 
     def _grouped(self, devices: Iterable[Device]) -> list[Group]:
-        """Return groups of the devices that one sync read can read, or that are read one by one."""
+        """Return the devices in groups; one sync read, or single reads, read a group."""
         groups = _groups(devices, lambda device: (device.family.sync_read, device.family.read))
         for group in groups:
             read, with_status = group.family.read, group.read_with_status
@@ -336,7 +336,7 @@ class Port:
 
         If the request fails, read the servos one by one, the servo that failed last. The reading
         includes the status registers when `StatusPoller` has used the previous status of every
-        servo; it takes the last servo last. This saves a separate status request in each cycle.
+        servo, the last one last. This saves a separate status request in each cycle.
         """
         decoder = None if self._misses else group.decoder
         blocks = group.read_with_status

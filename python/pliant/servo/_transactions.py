@@ -210,10 +210,10 @@ NOISE_MESSAGE = (
 #: Share of `reply_timeout_min` that is added to wire time and adapter latency for the silence that
 #: ends a drain, because the host may be busy.
 SILENCE_SHARE = 0.2
-#: Outside of control cycles: factor on reply timeouts, and number of tries.
+#: Outside control cycles: factor on reply timeouts, and number of tries.
 RELAXED_FACTOR, TRIES = 5.0, 6
-#: Outside of control cycles: longest drain of the line, and longest one after a drain that found no
-#: silence [s].
+#: Outside control cycles: longest time for which the line is drained, and the same if the previous
+#: drain did not reach silence [s].
 DRAIN, DRAIN_AGAIN = 0.5, 0.05
 #: Number of data bytes of a ping reply by protocol; number of bytes from address 0 that every servo
 #: has.

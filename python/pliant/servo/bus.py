@@ -198,7 +198,7 @@ class ServoBus:
     def reopen(self) -> tuple[Array, Array]:
         """Open the ports of a `closed_copy` after the program has ended with torque on.
 
-        The servos are not identified again: a servo that is missing by now then does not prevent
+        The servos are not identified again, so that a servo that has gone missing does not prevent
         the descent of the others. `write` sends goals to the servos whose torque is on. Torque does
         not change. `disable` restores the registers that the ended program found.
 
@@ -374,9 +374,9 @@ class ServoBus:
 
     @property
     def orders(self) -> tuple[Array, Array]:
-        """Goals [rad] and torque limits [N·m] (n,) that the servos of enabled joints had at open.
+        """Goals [rad] and torque limits [N·m] (n,), at open, of joints whose torque was already on.
 
-        NaN for joints whose torque was off at open, or was switched on by this program.
+        NaN for joints whose torque was off at open, or that this program has enabled since.
         """
         goals, limits = np.full(len(self._joints), np.nan), np.full(len(self._joints), np.nan)
         for i, joint in enumerate(self._joints):

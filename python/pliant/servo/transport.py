@@ -373,7 +373,7 @@ def _cannot_open(port: str, text: str) -> str:
         there = ", ".join(serial_ports()) or "none: is the adapter plugged in?"
         return f"there is no port {port}; there are: {there}"
     if "typewriter" in lower or "inappropriate ioctl" in lower:
-        return f"{port} is no serial port; there are: {', '.join(serial_ports()) or 'none'}"
+        return f"{port} is not a serial port; there are: {', '.join(serial_ports()) or 'none'}"
     return f"cannot open {port}: {text}"
 
 

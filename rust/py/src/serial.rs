@@ -57,7 +57,7 @@ impl Replies {
 
 #[doc = stub!(exchange)]
 #[pyfunction]
-#[expect(clippy::needless_pass_by_value, reason = "what PyO3 extracts it hands over")]
+#[expect(clippy::needless_pass_by_value, reason = "PyO3 passes extracted arguments by value")]
 pub(crate) fn exchange<'py>(
     py: Python<'py>,
     descriptor: i32,

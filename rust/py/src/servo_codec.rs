@@ -168,7 +168,7 @@ impl ServoCodec {
     #[cfg(unix)]
     #[doc = stub!(ServoCodec.read)]
     #[expect(clippy::too_many_arguments, reason = "a request, and what becomes of its replies")]
-    #[expect(clippy::needless_pass_by_value, reason = "what PyO3 extracts it hands over")]
+    #[expect(clippy::needless_pass_by_value, reason = "PyO3 passes extracted arguments by value")]
     fn read<'py>(
         slf: &Bound<'py, Self>,
         descriptor: i32,
@@ -199,7 +199,7 @@ impl ServoCodec {
     }
 
     #[doc = stub!(ServoCodec.joints)]
-    #[expect(clippy::needless_pass_by_value, reason = "what PyO3 extracts it hands over")]
+    #[expect(clippy::needless_pass_by_value, reason = "PyO3 passes extracted arguments by value")]
     fn joints<'py>(&mut self, py: Python<'py>, read: Vec<usize>) -> PyResult<Bound<'py, PyTuple>> {
         let (joints, ok) = self.core.joints(&read);
         let n = joints.len();
@@ -244,7 +244,7 @@ impl ServoCodec {
     #[cfg(unix)]
     #[doc = stub!(ServoCodec.write)]
     #[expect(clippy::too_many_arguments, reason = "a command, and where it is sent")]
-    #[expect(clippy::needless_pass_by_value, reason = "what PyO3 extracts it hands over")]
+    #[expect(clippy::needless_pass_by_value, reason = "PyO3 passes extracted arguments by value")]
     fn write(
         slf: &Bound<'_, Self>,
         descriptor: i32,

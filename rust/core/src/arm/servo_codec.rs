@@ -6,8 +6,8 @@ use crate::error::{Error, Result};
 const JUMP_MARGIN: f64 = 0.1;
 /// Ratio of the largest plausible speed of a servo, which a hand may push, to its no-load speed.
 const PUSHED_SPEED: f64 = 2.0;
-/// Time between two readings above which the accepted change grows even after an implausible position, because the
-/// joint may have moved in that time [s].
+/// Gap between two readings above which the accepted change grows even after an implausible position [s]: the joint may
+/// have moved in the gap.
 const READING_GAP: f64 = 0.1;
 
 /// Largest packet that writes registers [bytes].
@@ -142,12 +142,12 @@ struct Servo {
     reading: ServoReading,
     sent: SentCommand,
     has_status: bool,
-    /// Time without accepted reading, as far as it extends the accepted change of position [s]; infinite: accept any.
+    /// Δt of the next reading, see [`ServoCodec`] [s]; infinite: accept any position.
     allowed: f64,
     /// Time of the last reading, accepted or not [s].
     last: f64,
     rejected: u32,
-    /// Distance of the last implausible position from the accepted one [rad].
+    /// Distance of the latest implausible position from the last accepted one [rad].
     jump: f64,
 }
 
@@ -176,8 +176,8 @@ impl Servo {
 
     /// Returns true if the joint can have reached `position` [counts] at `time` [s].
     ///
-    /// The accepted distance grows with the time since the last accepted position, but not while implausible positions
-    /// arrive.
+    /// The accepted distance grows with the time since the last accepted position; after an implausible position, only
+    /// with gaps of more than 0.1 s between readings.
     fn is_reachable(&mut self, position: f64, time: f64) -> bool {
         let Some(last) = self.reading.position else { return true };
         let gap = time - self.last;
@@ -243,7 +243,8 @@ pub enum Decoded {
 /// Converts the registers of the servos of n joints to joint units and back, and rejects implausible positions.
 ///
 /// A position is accepted if it lies within `2 v₀ Δt + 0.1 rad` of the last accepted one, with the no-load speed v₀
-/// [rad/s] and the time Δt since that position [s], which does not grow while implausible positions arrive.
+/// [rad/s] and the time Δt since that position [s]. After an implausible position, only gaps of more than 0.1 s between
+/// readings count as part of Δt, so that a lasting jump of an encoder stays rejected.
 #[derive(Debug, Clone)]
 pub struct ServoCodec {
     servos: Vec<Servo>,
