@@ -18,38 +18,48 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pliant import gym
-from pliant.gym._arms import RATE, SIGNS
+from pliant.gym._arms import RATE
 from pliant.sim._mujoco import mujoco
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from pliant.sim import Plant
 
 ARMS, STEPS, REPEATS = 64, 15, 9
 
 
-def physics_of(task: gym.Task, plants: list[Plant]) -> Callable[[], None]:
-    """Return the function that runs the physics of all arms for one control period."""
-    if not task.native:
-        return lambda: [plant.advance() for plant in plants] and None
-    arms = [(plant.mj_model, plant.mj_data, plant.steps) for plant in plants]
-
-    def step() -> None:
-        for arm in arms:
-            mujoco.mj_step(*arm)
-
-    return step
+def run_physics(task: gym.Task, plants: list[Plant]) -> None:
+    """Run the physics of all plants for one control period."""
+    for plant in plants:
+        if task.native:
+            mujoco.mj_step(plant.mj_model, plant.mj_data, plant.steps)
+        else:
+            plant.advance()
 
 
 def send(task: gym.Task, plants: list[Plant], goals: np.ndarray, limits: np.ndarray) -> None:
-    """Send the commands of one tick to all arms."""
+    """Send the commands of one tick to all plants."""
     for plant, goal, limit in zip(plants, goals, limits, strict=True):
         if task.native:
             plant.mj_data.ctrl[: plant.n] = goal
-            plant.mj_model.actuator_forcerange[: plant.n] = limit[:, None] * SIGNS
+            plant.mj_model.actuator_forcerange[: plant.n] = np.stack([-limit, limit], axis=1)
         else:
             plant.write(goal, limit)
+
+
+def ticks_of_one_arm(task: gym.Task, episodes: int = 4) -> float:
+    """Return the ticks per second of processor time of a `TaskEnv`, in episodes of equal length."""
+    env, total, steps = gym.TaskEnv(task), 0.0, 0
+    rng = np.random.default_rng(0)
+    for seed in range(episodes):
+        env.reset(seed=seed)
+        action = rng.uniform(-0.1, 0.1, env.action_space.shape)
+        is_over = False
+        while not is_over and steps < (seed + 1) * STEPS * REPEATS:
+            start = time.process_time()
+            is_over = env.step(action)[2]
+            total += time.process_time() - start
+            steps += 1
+    return steps * round(RATE / task.decision_rate) / total
 
 
 def measure(task: gym.Task) -> None:
@@ -62,30 +72,36 @@ def measure(task: gym.Task) -> None:
     for env in (whole, other):
         env.reset(seed=0)
         env.step(actions)
-    arms, plants = whole._arms[0], other._arms[0].plants
-    physics = physics_of(task, plants)
-    ticks = STEPS * round(RATE / task.decision_rate)
-    times = []
+    arms, others = whole._arms[0], other._arms[0]
+    times, count = [], 0
     for _ in range(REPEATS):
         total = alone = 0.0
         for _ in range(STEPS):
+            # An arm whose episode has ended stands still.
+            rows = np.flatnonzero(~whole._ended)
             start = time.process_time()
             whole.step(actions)
             total += time.process_time() - start
+            plants = [others.plants[row] for row in rows]
             for goals, limits in zip(arms._goals[1:], arms._limits[1:], strict=True):
-                send(task, plants, goals, limits)
+                send(task, plants, goals[rows], limits[rows])
                 start = time.process_time()
-                physics()
+                run_physics(task, plants)
                 alone += time.process_time() - start
+            count += len(rows) * len(arms._goals[1:])
         times.append((total, alone))
-    for one, two in zip(arms.plants, plants, strict=True):
+    for one, two in zip(arms.plants, others.plants, strict=True):
         assert (one.mj_data.qpos == two.mj_data.qpos).all(), "the two environments differ"
-    total, alone = (statistics.median(column) for column in zip(*times, strict=True))
-    shares = sorted(1.0 - part / whole for whole, part in times)
-    print(f"{type(task).__name__}: {ARMS * ticks / total:.0f} ticks of an arm per second", end=" ")
-    print(f"of processor time, {1e6 * total / ARMS / ticks:.1f} µs each, of which", end=" ")
-    print(f"physics {1e6 * alone / ARMS / ticks:.1f} µs;", end=" ")
-    print(f"not physics: {100.0 * statistics.median(shares):.1f} %", end=" ")
+    total, alone = (
+        REPEATS * statistics.median(column) / count for column in zip(*times, strict=True)
+    )
+    shares = sorted(1.0 - part / both for both, part in times)
+    print(f"{type(task).__name__}: {1.0 / total:.0f} ticks of an arm per second of", end=" ")
+    print(f"processor time ({ticks_of_one_arm(task):.0f} in a TaskEnv),", end=" ")
+    print(
+        f"{1e6 * total:.1f} µs each, of which physics {1e6 * alone:.1f} µs; not physics:", end=" "
+    )
+    print(f"{100.0 * statistics.median(shares):.1f} %", end=" ")
     print(f"({100.0 * shares[0]:.1f} to {100.0 * shares[-1]:.1f} %)")
 
 
