@@ -72,6 +72,7 @@ __all__ = [
     "pose_error",
     "responsibility",
     "torque_margin",
+    "update_contacts",
 ]
 
 _Array: TypeAlias = NDArray[np.float64]
@@ -2484,6 +2485,30 @@ class ContactEstimator:
     @property
     def controller(self) -> Controller:
         """Controller that supplies model, payload, delay, task frame and commands."""
+
+def update_contacts(
+    contacts: Sequence[ContactEstimator | None],
+    Q: _Array,
+    *,
+    dt: float,
+    sent: tuple[_Array, _Array],
+    out: tuple[_Array, _Array, _Array],
+) -> None:
+    """Process several readings of several arms, each as `ContactEstimator.update_series` does.
+
+    Runs without the interpreter lock.
+
+    Args:
+        contacts: Estimators of the arms (N,); the rows of None are skipped.
+        Q: Measured joint positions (N, T, n) [rad].
+        dt: Time between readings [s].
+        sent: Goals and limits (N, T, n) sent last before each reading.
+        out: Arrays for velocity (N, n), force (N, 6) and uncertainty (N, 6) of the last estimates.
+
+    Raises:
+        ShapeError, OutOfRangeError: An input is invalid; estimators before the invalid row have
+            changed.
+    """
 
 def damped_pseudo_inverse(J: ArrayLike, damping: float) -> _Array:
     """Compute the damped pseudo-inverse J^T (J J^T + lambda^2 I)^-1, shape (n, k).

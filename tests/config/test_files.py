@@ -304,6 +304,7 @@ def test_zero_comes_from_the_file_then_from_the_calibration(tmp_path):
 
 def test_a_bound_on_a_dead_host_reaches_the_servos_from_the_file():
     """Run loops with the arm of a file, with and without `max_host_loss_force`."""
+    pytest.importorskip("mujoco", reason="runs in the simulator: extra sim")
     work = np.array([-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657])
     text = 'backend = "sim"\nrobot.builtin = "arm7"\n[settings]\naxes.y = { soft = 4.0 }\n'
     residuals, commands = [], []

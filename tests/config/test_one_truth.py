@@ -5,6 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
+pytest.importorskip("mujoco", reason="the arms run in the simulator: extra sim")
+
 from mismatch import Mismatch, Parameters
 
 import pliant

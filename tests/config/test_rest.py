@@ -5,6 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
+pytest.importorskip("mujoco", reason="the arms run in the simulator: extra sim")
+
 from bare_arm import bare_arm
 from mismatch import Mismatch, Parameters
 

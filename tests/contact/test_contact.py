@@ -10,6 +10,7 @@ import pliant
 from experiments import contacts as table
 from experiments.contacts import MAIN, Bench, Case, Job, measure
 from experiments.poses import arm
+from pliant._core import update_contacts
 from pliant.sim import ForceProfile, Plant, Push
 from pliant.sim.postures import VERTICAL
 
@@ -182,3 +183,45 @@ def test_a_series_has_the_numbers_of_its_readings_one_by_one():
     with pytest.raises(pliant.ShapeError, match=r"goal has shape \(35,\), expected \(14,\)"):
         several.update_series(q[:2], sent=(sent[0][:5], sent[1][:2]))
     assert several.estimate == single.estimate
+
+
+def test_several_arms_have_the_numbers_of_their_series():
+    rng = np.random.default_rng(3)
+    ctl = controller()
+    alone, together = ([pliant.ContactEstimator(ctl, **KNOWN) for _ in range(4)] for _ in range(2))
+    together[2] = None
+    velocity, force, uncertainty = np.full((4, 7), 9.0), np.full((4, 6), 9.0), np.full((4, 6), 9.0)
+    out = (velocity, force, uncertainty)
+    for count in (1, 5):
+        q = VERTICAL + rng.uniform(-0.01, 0.01, (4, count, 7))
+        # One array is not contiguous.
+        goal = (q + rng.uniform(-0.05, 0.05, q.shape)).transpose(1, 0, 2).copy().transpose(1, 0, 2)
+        limit = rng.uniform(1.0, 8.0, q.shape)
+        update_contacts(together, q, dt=0.01, sent=(goal, limit), out=out)
+        for row, contact in enumerate(alone):
+            felt = contact.update_series(q[row], dt=0.01, sent=(goal[row], limit[row]))
+            if row != 2:
+                assert together[row].estimate == felt
+                assert (velocity[row] == felt.velocity).all()
+                assert (force[row] == felt.force).all()
+                assert (uncertainty[row] == felt.uncertainty).all()
+    for array in out:
+        assert (array[2] == 9.0).all(), "the row of a missing arm is not written"
+
+
+def test_series_of_several_arms_need_equal_shapes_and_separate_memory():
+    contacts = [pliant.ContactEstimator(controller()) for _ in range(2)]
+    q, out = np.tile(VERTICAL, (2, 3, 1)), (np.zeros((2, 7)), np.zeros((2, 6)), np.zeros((2, 6)))
+    limit = np.ones((2, 3, 7))
+    with pytest.raises(pliant.ShapeError, match=r"torque_limit has shape \(1, 3, 7\)"):
+        update_contacts(contacts, q, dt=0.01, sent=(q, limit[:1]), out=out)
+    with pytest.raises(pliant.ShapeError, match=r"Q has shape \(2, 3, 7\), expected \(1, 3, 7\)"):
+        update_contacts(contacts[:1], q, dt=0.01, sent=(q, limit), out=out)
+    six, outs = np.ones((2, 3, 6)), tuple(np.zeros((3, 2, 6)))
+    with pytest.raises(pliant.ShapeError, match=r"Q has shape \(2, 3, 6\), expected \(2, 3, 7\)"):
+        update_contacts(contacts, six, dt=0.01, sent=(six, six), out=outs)
+    with pytest.raises(ValueError, match="must not share memory"):
+        update_contacts(contacts, q, dt=0.01, sent=(q, limit), out=(out[0], out[1], out[1]))
+    with pytest.raises(RuntimeError, match="in use by another call"):
+        update_contacts(contacts[:1] * 2, q, dt=0.01, sent=(q, limit), out=out)
+    assert not out[0].any()

@@ -1,5 +1,8 @@
 """Environments of `pliant.gym`: Gymnasium interface, determinism, actions, effect of softness."""
 
+import os
+import subprocess
+import sys
 import warnings
 
 import numpy as np
@@ -154,6 +157,44 @@ def test_pictures_follow_the_arm_and_end_with_the_scene():
     env.reset(seed=1)
     assert (np.abs(env.render().astype(int) - first).max(axis=2) > 10).any()
     env.close()
+
+
+def in_new_process(code, **environment):
+    """Run Python code with some environment variables changed, empty ones removed."""
+    changed = {**os.environ, **environment}
+    return subprocess.run(
+        [sys.executable, "-c", code],
+        env={name: value for name, value in changed.items() if value},
+        capture_output=True,
+        text=True,
+        timeout=60.0,
+        check=False,
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems draw without a display")
+def test_a_picture_without_a_display_is_an_error_with_a_remedy():
+    """MuJoCo's own error leaves a process that the second picture aborts."""
+    code = (
+        "import pliant.gym as gym\n"
+        "for _ in range(2):\n"
+        "    env = gym.TaskEnv(gym.Wall(), render_mode='rgb_array')\n"
+        "    env.reset(seed=0)\n"
+        "    try: env.render()\n"
+        "    except ValueError as error: print(type(error).__name__, error)\n"
+    )
+    out = in_new_process(code, DISPLAY="", WAYLAND_DISPLAY="", MUJOCO_GL="")
+    assert out.returncode == 0, out.stderr
+    said = "ConfigError no display to draw on: set MUJOCO_GL=egl (or osmesa) before Python starts"
+    assert out.stdout.splitlines() == [said] * 2
+
+
+@pytest.mark.slow
+def test_an_id_with_the_module_needs_no_import():
+    code = "import gymnasium; print(gymnasium.make('pliant.gym:pliant/Wall-v0').unwrapped.task)"
+    out = in_new_process(code)
+    assert out.stdout.startswith("Wall("), out.stderr
 
 
 def test_without_a_render_mode_there_is_no_picture():

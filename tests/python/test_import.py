@@ -32,10 +32,10 @@ def test_every_name_is_there_and_documented():
         *pliant.teleop.__all__,
         *pliant.types.__all__,
     }
-    # Names that only `pliant.arm`, `pliant.identify` and `pliant.servo` use, which wrap them.
+    # Names that only `pliant.arm`, `pliant.gym`, `pliant.identify` and `pliant.servo` use.
     internal = {
         *("ArmPoints", "CommandLimiter", "HandGuidingLaw", "PositionFilter"),
-        *("SUPPORT", "ServoCodec", "ThermalModel", "torque_margin"),
+        *("SUPPORT", "ServoCodec", "ThermalModel", "torque_margin", "update_contacts"),
         *(() if sys.platform == "win32" else ("exchange",)),
     }
     assert set(pliant._core.__all__) == (public & set(pliant._core.__all__)) | internal

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pliant import robots
-from pliant._core import ContactEstimator, Controller, PliantError, Settings
+from pliant._core import ContactEstimator, Controller, PliantError, Settings, update_contacts
 from pliant._validation import AXES
 from pliant.gym.soft_action import SoftAction, holding_forces
 from pliant.sim import Plant
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 RATE = 100.0
 #: Largest distance of the target from the tool [m], [rad], also while the arm is blocked.
 LEASH = (0.08, 0.5)
-#: Signs of the least and the largest torque of a servo.
-SIGNS = np.array([-1.0, 1.0])
+#: Trace of a rotation by the largest angle: 1 + 2 cos(angle).
+LEASH_TRACE = 1.0 + 2.0 * float(np.cos(LEASH[1]))
 #: Bounds of the observed force [N] and torque [N·m]; the estimate is infinite in the first tick.
 MAX_WRENCH = np.array([100.0] * 3 + [20.0] * 3)
 
@@ -86,9 +86,6 @@ class Arms:
         self._goals, self._limits = np.zeros((2, ticks + 1, count, n))
         # Positions and commands arm by arm: an estimator reads contiguous memory in place.
         self._series = np.zeros((3, count, ticks, n))
-        # Views of the rows: indexing an array costs as much as a control step.
-        self._series_of = [(q, (goal, limit)) for q, goal, limit in zip(*self._series, strict=True)]
-        self._felt_of = list(zip(self._dq, self._felt, self._uncertainty, strict=True))
         self._progress, self._force, self._place = np.zeros((3, count))
         self.force = np.zeros(count)
 
@@ -147,7 +144,7 @@ class Arms:
             wrong = int((~np.isfinite(self._q)).any(axis=1).argmax())
             raise PliantError(f"the simulation of arm {wrong} of {self._count} diverged")
         self.force[rows] = largest[rows]
-        self._feel(active, dt)
+        self._feel(rows, dt)
         self._goals[0], self._limits[0] = goal, limit
         self._has_command[rows] = True
         success, failure = self._progress >= 1.0, largest > self._task.max_force
@@ -247,35 +244,38 @@ class Arms:
         offset = self._target[:, :3, 3] + change[:, :3] - place
         np.maximum(np.minimum(offset, LEASH[0], out=offset), -LEASH[0], out=offset)
         turned = turn @ np.ascontiguousarray(target)
-        # The trace of the relative rotation is 1 + 2 cos(angle).
-        near = (turned * tool[:, :3, :3]).sum(axis=(1, 2)) >= 1.0 + 2.0 * np.cos(LEASH[1])
+        near = (turned * tool[:, :3, :3]).sum(axis=(1, 2)) >= LEASH_TRACE
         np.copyto(self._target[:, :3, 3], place + offset, where=rows[:, None])
         np.copyto(target, turned, where=(near & rows)[:, None, None])
 
-    def _feel(self, active: list[int], dt: float) -> None:
-        """Update the contact estimators with the readings and commands of all ticks, arm by arm."""
+    def _feel(self, rows: Mask, dt: float) -> None:
+        """Update contact estimators with the readings and commands of all ticks."""
         for i, ticks in enumerate((self._readings, self._goals[:-1], self._limits[:-1])):
             self._series[i] = ticks.transpose(1, 0, 2)
-        has_command = self._has_command.tolist()
-        for row in active:
-            contact, (q, sent) = self._contact[row], self._series_of[row]
-            if has_command[row]:
-                felt = contact.update_series(q, dt=dt, sent=sent)
-            else:
-                felt = contact.update(q[0], dt=dt)
-                for reading, goal, limit in zip(q[1:], *(array[1:] for array in sent), strict=True):
-                    felt = contact.update(reading, dt=dt, sent=(goal, limit))
-            velocity, force, uncertainty = self._felt_of[row]
-            velocity[...], force[...] = felt.velocity, felt.force
-            uncertainty[...] = felt.uncertainty
+        q, goal, limit = self._series
+        ready = (rows & self._has_command).tolist()
+        contacts = [
+            one if is_ready else None for one, is_ready in zip(self._contact, ready, strict=True)
+        ]
+        out = (self._dq, self._felt, self._uncertainty)
+        update_contacts(contacts, q, dt=dt, sent=(goal, limit), out=out)
+        # The first reading of an episode has no command before it.
+        for row in np.flatnonzero(rows & ~self._has_command).tolist():
+            contact = self._contact[row]
+            felt = contact.update(q[row, 0], dt=dt)
+            if self._ticks > 1:
+                sent = (goal[row, 1:], limit[row, 1:])
+                felt = contact.update_series(q[row, 1:], dt=dt, sent=sent)
+            self._dq[row], self._felt[row] = felt.velocity, felt.force
+            self._uncertainty[row] = felt.uncertainty
         np.minimum(self._uncertainty, MAX_WRENCH, out=self._uncertainty)
 
     def _advance(self, active: list[int], rows: Mask, dt: float, goal: Array, limit: Array) -> None:
         """Send the commands, run the physics of one tick, and update force and progress."""
         if self._native is not None:
             native = self._native
-            native.goal[:] = goal
-            np.multiply(limit[:, :, None], SIGNS, out=native.limits)
+            native.goal[:], native.limits[:, :, 1] = goal, limit
+            np.negative(limit, out=native.limits[:, :, 0])
             native.advance(active)
             self._q[:], self._force[:], place = native.q, native.force, native.travel
         else:

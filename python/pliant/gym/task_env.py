@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
@@ -85,12 +87,16 @@ class TaskEnv(gymnasium.Env[dict[str, "Array"], "Array"]):
         """Return a picture (height, width, 3) of arm and scene; None without a render mode.
 
         Walls and surfaces are not visible, because they only exert forces.
+
+        Raises:
+            ConfigError: There is no display, and MuJoCo was not told to draw without one.
         """
         if self.render_mode is None:
             return None
         plant = self._arms.plants[0]
         assert plant is not None, "call reset() first"
         if self._renderer is None:
+            _check_display()
             plant.mj_model.vis.headlight.ambient[:] = 0.6
             self._renderer = mujoco.Renderer(plant.mj_model, *self.picture_size)
             self._camera = mujoco.MjvCamera()
@@ -108,6 +114,15 @@ class TaskEnv(gymnasium.Env[dict[str, "Array"], "Array"]):
 
     def _observation(self) -> dict[str, Array]:
         return {name: rows[0] for name, rows in self._arms.observation().items()}
+
+
+def _check_display() -> None:
+    """Raise an error where MuJoCo's default way to draw aborts the process."""
+    has_display = any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
+    chosen = os.environ.get("MUJOCO_GL", "glfw").lower()
+    if sys.platform == "linux" and not has_display and chosen in ("", "glfw"):
+        message = "no display to draw on: set MUJOCO_GL=egl (or osmesa) before Python starts"
+        raise ConfigError(message)
 
 
 def action_space(arms: Arms) -> spaces.Box:

@@ -8,11 +8,12 @@ use pliant_core::{
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 
+use crate::batch::{Rows, target};
 use crate::controller::Controller;
 use crate::error::{OrRaise, config, shape, wrong_type};
 use crate::extras::SECONDS;
 use crate::kinds::{Flag, Kind};
-use crate::ndarray::{copy, new_array, rows};
+use crate::ndarray::{copy, lend, new_array, rows};
 use crate::read::compact::joints;
 use crate::read::{number, numbers, real, set_if_some, vector};
 use crate::{arguments, in_use};
@@ -349,4 +350,69 @@ impl ContactEstimator {
     fn __repr__(&self) -> String {
         format!("<Contact: axes {}; {}>", self.core.axes().join(" "), WrenchEstimate(*self.core.estimate()).__str__())
     }
+}
+
+#[doc = stub!(update_contacts)]
+#[pyfunction]
+#[pyo3(signature = (contacts, Q, *, dt, sent, out))]
+#[expect(non_snake_case, reason = "`Q` holds many `q`, as documented")]
+#[expect(clippy::needless_pass_by_value, reason = "PyO3 passes lists and tuples by value")]
+pub(crate) fn update_contacts<'py>(
+    contacts: Vec<Option<Bound<'py, ContactEstimator>>>,
+    Q: &Bound<'py, PyAny>,
+    dt: f64,
+    sent: (Bound<'py, PyAny>, Bound<'py, PyAny>),
+    out: (Bound<'py, PyAny>, Bound<'py, PyAny>, Bound<'py, PyAny>),
+) -> PyResult<()> {
+    let (py, count) = (Q.py(), contacts.len());
+    let (_, ticks, n): (usize, usize, usize) = Q.getattr("shape")?.extract()?;
+    let (part, outs) = ([ticks, n], [&out.0, &out.1, &out.2]);
+    let inputs = [("Q", Q), ("goal", &sent.0), ("torque_limit", &sent.1)]
+        .map(|(name, array)| Rows::read(name, array, &part, &outs).map(|rows| (name, rows)));
+    let [q, goal, limit] = inputs;
+    let inputs = [q?, goal?, limit?];
+    for (name, rows) in &inputs {
+        if rows.count != count {
+            return Err(shape(name, &[rows.count, ticks, n], format!("({count}, {ticks}, {n})")));
+        }
+    }
+    let shapes = [[count, n], [count, MAX_AXES], [count, MAX_AXES]];
+    let names = ["out[0]", "out[1]", "out[2]"];
+    for i in 0..3 {
+        target(py, names[i], Some(outs[i]), count, &shapes[i][1..])?;
+    }
+    let own: PyResult<Vec<_>> =
+        contacts.iter().map(|contact| contact.as_ref().map(in_use::exclusive).transpose()).collect();
+    let mut own = own?;
+    let mut estimators = Vec::with_capacity(count);
+    for contact in &mut own {
+        let Some(contact) = contact.as_deref_mut() else {
+            estimators.push(None);
+            continue;
+        };
+        if contact.n != n {
+            return Err(shape("Q", &[count, ticks, n], format!("({count}, {ticks}, {})", contact.n)));
+        }
+        let ContactEstimator { core, controller, .. } = contact;
+        estimators.push(Some((core, in_use::shared(controller.bind(py))?)));
+    }
+    let mut estimators: Vec<_> = estimators
+        .iter_mut()
+        .map(|pair| pair.as_mut().map(|(core, controller)| (&mut **core, &controller.core)))
+        .collect();
+    let lent = inputs.each_ref().map(|(_, rows)| rows.lent());
+    let outs = [0, 1, 2].map(|i| (names[i], outs[i], &shapes[i][..]));
+    let felt = lend(py, &lent, outs, |[q, goal, limit], [velocity, force, uncertainty]| {
+        for (row, pair) in estimators.iter_mut().enumerate() {
+            let Some((contact, controller)) = pair else { continue };
+            let [q, goal, limit] = [q, goal, limit].map(|array| &array[row * ticks * n..][..ticks * n]);
+            let input = ContactInput { dt: Some(dt), sent: Some([goal, limit]), ..ContactInput::default() };
+            let felt = contact.update_series(controller, q, &input)?;
+            velocity[row * n..][..n].copy_from_slice(&felt.velocity[..n]);
+            force[row * MAX_AXES..][..MAX_AXES].copy_from_slice(&felt.force);
+            uncertainty[row * MAX_AXES..][..MAX_AXES].copy_from_slice(&felt.uncertainty);
+        }
+        Ok(())
+    })?;
+    felt.or_raise()
 }

@@ -59,7 +59,7 @@ mod _core {
     #[pymodule_export]
     use crate::command_limiter::CommandLimiter;
     #[pymodule_export]
-    use crate::contact::{ContactEstimator, WrenchEstimate};
+    use crate::contact::{ContactEstimator, WrenchEstimate, update_contacts};
     #[pymodule_export]
     use crate::controller::Controller;
     #[pymodule_export]

@@ -7,8 +7,8 @@ use super::{ContactEstimator, ContactInput, HISTORY, History, Sent, State, Tare,
 use crate::controller::{Controller, period};
 use crate::error::{Error, Result};
 use crate::kinematics::JointFrames;
-use crate::kinematics::velocity_filter::{Filtered, SPEED_BOUND, VelocityFilter};
-use crate::math::simd::{JointVec16, JointVector};
+use crate::kinematics::velocity_filter::{SPEED_BOUND, VelocityFilter};
+use crate::math::simd::{BaselineF64x8, JointVec16, JointVector, LANES};
 use crate::params::{AXIS_NAMES, joint_space};
 use crate::pose::COORDINATE_BOUND;
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
@@ -328,11 +328,11 @@ impl ContactEstimator {
             (state.filter, state.previous_q) = (VelocityFilter::new(q), *q);
             (state.lowpassed_velocity, state.started) = (dq.copied().unwrap_or_default(), true);
         }
-        let backlash_output = JointVec16::load(q);
-        state.filter.set(match dq {
-            Some(dq) => Filtered { backlash_output, velocity: JointVec16::load(dq) },
-            None => state.filter.update(backlash_output, JointVec16::load(&self.joints.encoder_step), filter, dt),
-        });
+        match dq {
+            Some(dq) => (state.filter.backlash_output, state.filter.velocity) = (*q, *dq),
+            None if self.joints.n <= LANES => self.filter_velocity::<BaselineF64x8>(state, q, filter, dt),
+            None => self.filter_velocity::<JointVec16>(state, q, filter, dt),
+        }
         let velocity = state.filter.velocity;
         let mut motion = JointMotion { velocity, ..JointMotion::default() };
         motion.noise.reading = self.reading_noise(dt);
@@ -352,6 +352,13 @@ impl ContactEstimator {
         }
         state.previous_q = *q;
         motion
+    }
+
+    /// Updates the velocity filter with a reading `q` [rad]. `time_constant` and `dt` [s] are those of
+    /// [`VelocityFilter::update`].
+    fn filter_velocity<J: JointVector>(&self, state: &mut State, q: &JointVec, time_constant: f64, dt: f64) {
+        let encoder_step = J::load(&self.joints.encoder_step);
+        state.filter.set(state.filter.update(J::load(q), encoder_step, time_constant, dt));
     }
 
     /// Returns the standard deviation of the low-passed mean of two readings [rad].

@@ -1,8 +1,8 @@
 //! Linear estimate of the wrench, with its error bound, from residual joint torques.
 
-use crate::math::ldlt6::factor_gram;
+use crate::math::ldlt6::{Ldlt6, factor_gram};
 use crate::math::rows::{JointMatrix, load_rows, store_rows};
-use crate::math::simd::{BaselineF64, JointVec16, JointVector};
+use crate::math::simd::{BaselineF64, BaselineF64x8, JointVec16, JointVector, LANES};
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
 /// Linear estimate `F = G r` from residual torques `r = JᵀF + ε` with `|ε_i| ≤ u_i` and `|F_k| ≤ max_wrench_k`.
@@ -30,9 +30,11 @@ impl Estimator {
         for r in 0..k {
             prior[r] = 1.0 / (max_wrench[r] * max_wrench[r]);
         }
-        let (rows, weight) = (load_rows(rows), JointVec16::load(&weight));
-        let factor = factor_gram(&rows, weight, &prior);
-        let gain = store_rows(&factor.weighted_rows(&rows, weight));
+        let (factor, gain) = if n <= LANES {
+            factor_and_gain::<BaselineF64x8>(rows, &weight, &prior)
+        } else {
+            factor_and_gain::<JointVec16>(rows, &weight, &prior)
+        };
         let mut regularization_bias = [0.0; MAX_AXES];
         for c in 0..k {
             // G Jᵀ − I = −(J W Jᵀ + P⁻¹)⁻¹ P⁻¹; this form has no cancellation.
@@ -87,6 +89,15 @@ impl Estimator {
         }
         out
     }
+}
+
+/// Returns the factor of `J W Jᵀ + P⁻¹` and the gain G, for `weight` the diagonal of W and `prior` that of P⁻¹.
+#[inline(never)]
+fn factor_and_gain<J: JointVector>(rows: &Rows, weight: &JointVec, prior: &AxisVec) -> (Ldlt6, Rows) {
+    let (rows, weight) = (load_rows::<J>(rows), J::load(weight));
+    let factor = factor_gram(&rows, weight, prior);
+    let gain = store_rows(&factor.weighted_rows(&rows, weight));
+    (factor, gain)
 }
 
 #[cfg(test)]

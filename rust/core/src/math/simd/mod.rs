@@ -32,7 +32,7 @@ mod x86;
 #[cfg(not(target_arch = "x86_64"))]
 pub(crate) use array::ArrayF64x8;
 pub use dispatch::SimdLevel;
-pub(crate) use dispatch::{Isa, Kernel};
+pub(crate) use dispatch::{BaselineF64x8, Isa, Kernel};
 pub(crate) use elementary::{atan_over_y, atan2_first_quadrant, is_small_angle, tanh};
 pub(crate) use joint_vec16::JointVec16;
 pub(crate) use nontemporal::{NONTEMPORAL_MIN_BYTES, NonTemporalWriter, with_nontemporal};
