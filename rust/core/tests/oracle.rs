@@ -226,3 +226,17 @@ fn the_step_of_law_impedance_agrees_with_the_oracle() {
 fn the_step_of_law_paper_agrees_with_the_oracle() {
     step_agrees_with_oracle(Law::Paper);
 }
+
+/// The step of an arm with more joints than a vector register has lanes is compiled apart.
+#[test]
+fn the_step_of_a_large_arm_agrees_with_the_oracle() {
+    for law in [Law::Cap, Law::Impedance, Law::Paper] {
+        let differences = RefCell::new(Vec::new());
+        let mut observed = Observed::default();
+        for seed in 0..60 {
+            sequence(3, law, seed, &mut observed, &differences);
+            assert_eq!(differences.borrow().as_slice(), &[] as &[String]);
+        }
+        assert!(observed.locked > 10 && observed.saturated > 5, "{law:?} {observed:?}");
+    }
+}
