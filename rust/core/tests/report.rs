@@ -149,6 +149,20 @@ fn torque_limits_bound_the_force_after_a_host_loss() {
         assert!(force <= share * free && force > (share - 0.05) * free, "{share} of {free}: {force}");
         assert!(lower < limit, "{lower} {limit}");
     }
+    // Gravity along y makes the push against it the stronger one, on either side.
+    for gravity in [-9.81, 9.81] {
+        let worst = |max: Option<f64>| {
+            let torque_limits = TorqueLimits { max_host_loss_force: max, ..TorqueLimits::default() };
+            let mut controller = lever(Settings { torque_limits, ..Settings::default() });
+            controller.set_gravity([0.0, gravity, 0.0]).unwrap();
+            report_at(&controller, &[0.0]).unwrap().axes[0].host_loss_force
+        };
+        let side = usize::from(gravity < 0.0);
+        let free = worst(None);
+        assert!(free[side] > 1.05 * free[1 - side], "{free:?}");
+        let force = worst(Some(0.97 * free[side]))[side];
+        assert!(force <= 0.97 * free[side] && force > 0.9 * free[side], "{force} {free:?}");
+    }
     let at_floor = bounded(Some(0.01));
     common::close("floor", at_floor.1, 0.3, 1e-12);
     assert_eq!(bounded(Some(1.01 * free)), (free, limit));
@@ -246,7 +260,7 @@ fn the_report_gives_the_reduction_of_dampers() {
 }
 
 /// Two springs of 50 and 100 N/m in series along y, with 1 and 3 N of friction, that do not slip: each stretches by
-/// `(F − τ_f)/k` once the push exceeds its friction.
+/// `(F − τ_f)/k` once the push exceeds its friction. Also with a thousandth of these numbers.
 #[test]
 fn dead_springs_in_series_share_the_push() {
     let inertial = r#"<inertial><mass value="0.1"/>
@@ -265,14 +279,20 @@ fn dead_springs_in_series_share_the_push() {
     );
     let options = ModelOptions { gravity: [0.0; 3], ..ModelOptions::default() };
     let model = Arc::new(Model::from_urdf_str(&urdf, &options).unwrap());
-    let servos = Servos { friction: vec![1.0, 3.0], ..Servos::new(vec![50.0, 100.0], vec![400.0; 2]) };
-    let settings = Settings { task: Task::parse("y").unwrap(), ..Settings::default() };
-    let report = report_at(&Controller::new(model, settings, Some(servos)).unwrap(), &[0.0; 2]).unwrap();
-    // The push of 0.15 m ends within two steps.
-    let [least, most] = [0.15, 0.1561].map(|y| (y + 1.0 / 50.0 + 3.0 / 100.0) / (1.0 / 50.0 + 1.0 / 100.0));
-    assert!(report.torque_limit.iter().all(|limit| *limit > most), "no slip: {:?}", report.torque_limit);
-    for force in report.axes[0].host_loss_force {
-        assert!(force >= least - 1e-6 && force <= most, "{least} {force} {most}");
+    for scale in [1.0, 1e-3] {
+        let servos = Servos {
+            friction: vec![scale, 3.0 * scale],
+            ..Servos::new(vec![50.0 * scale, 100.0 * scale], vec![400.0 * scale; 2])
+        };
+        let settings = Settings { task: Task::parse("y").unwrap(), ..Settings::default() };
+        let report =
+            report_at(&Controller::new(Arc::clone(&model), settings, Some(servos)).unwrap(), &[0.0; 2]).unwrap();
+        // The push of 0.15 m ends within two steps.
+        let [least, most] = [0.15, 0.1561].map(|y| scale * (y + 1.0 / 50.0 + 3.0 / 100.0) / (1.0 / 50.0 + 1.0 / 100.0));
+        assert!(report.torque_limit.iter().all(|limit| *limit > most), "no slip: {:?}", report.torque_limit);
+        for force in report.axes[0].host_loss_force {
+            assert!(force >= least - 1e-6 * scale && force <= most, "{least} {force} {most}");
+        }
     }
 }
 

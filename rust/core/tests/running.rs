@@ -410,7 +410,13 @@ fn the_stored_lead_is_bounded_by_gravity_and_by_hold() {
         // The lead beyond gravity and beyond that of the law, whose wrench W exerts JᵀW. A turn about y lowers the tool.
         let goal = controller.last_command().unwrap().goal()[0];
         assert!((100.0 * goal).abs() <= 8.0 + 1e-9, "the whole lead exerts at most the usable torque: {goal}");
-        100.0 * goal - gravity + 0.5 * controller.diagnostics().wrench[0]
+        let wrench = controller.diagnostics().wrench[0];
+        let stored = 100.0 * goal - gravity + 0.5 * wrench;
+        // The torque limit carries gravity, wrench and stored lead, and has a margin of a tenth of the usable torque.
+        let demand = (gravity - 0.5 * wrench.clamp(-hold, hold) + stored).abs().max(1.1 * gravity.abs());
+        let limit = controller.last_command().unwrap().torque_limit()[0];
+        assert!((limit - (demand + 0.8).min(8.0)).abs() < 1e-9, "{limit} {demand}");
+        stored
     };
     // The margin for gravity is a tenth.
     let usable = 8.0 - 1.1 * gravity.abs();
