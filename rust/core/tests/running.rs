@@ -209,7 +209,7 @@ fn changes_of_payload_gravity_and_delay_take_effect_and_persist() {
 #[test]
 fn a_payload_change_takes_half_a_second() {
     let (_, mut controller, target) = make(Settings::default());
-    let payload = Payload { mass: 0.4, com: [0.0, 0.03, 0.05] };
+    let payload = Payload { mass: 0.4, com: [0.02, 0.03, 0.05] };
     let weight = |controller: &Controller| controller.diagnostics().gravity[1];
     let tick = |controller: &mut Controller, count: usize| {
         (0..count).for_each(|_| {
@@ -416,6 +416,7 @@ fn the_stored_lead_is_bounded_by_gravity_and_by_hold() {
         let demand = (gravity - 0.5 * wrench.clamp(-hold, hold) + stored).abs().max(1.1 * gravity.abs());
         let limit = controller.last_command().unwrap().torque_limit()[0];
         assert!((limit - (demand + 0.8).min(8.0)).abs() < 1e-9, "{limit} {demand}");
+        assert_eq!(controller.diagnostics().saturated[0], demand + 0.8 > 8.0);
         stored
     };
     // The margin for gravity is a tenth.
