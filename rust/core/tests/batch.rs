@@ -101,6 +101,8 @@ fn without_a_state_each_row_is_a_first_step_without_speed_limit() {
     let (mut locked, mut rows) = (0, 0);
     let mut all = controllers(&mut random, 3);
     all.extend(controllers_of_paper(&mut random, 6));
+    // The tool's speed is bounded by default.
+    all.push(default_controller(&mut random, 1).0);
     for controller in all {
         let (model, n) = (Arc::clone(controller.model()), controller.model().n());
         let mut arms = Arms::new(&mut random, &model, ARMS);

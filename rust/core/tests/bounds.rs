@@ -109,6 +109,26 @@ fn the_reference_moves_within_its_bounds() {
     }
 }
 
+/// An arm that cannot follow keeps its reference within reach, unless its target is near.
+#[test]
+fn the_reference_waits_for_a_blocked_arm_whose_target_is_far() {
+    let model = arm(0);
+    let q = [-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657];
+    let tool = model.forward_kinematics(&q).unwrap();
+    let lead = |distance: f64| {
+        let mut controller = Controller::new(Arc::clone(&model), Settings::default(), Some(seeded::servos(0))).unwrap();
+        let mut target = tool;
+        target.position[1] += distance;
+        for _ in 0..400 {
+            controller.step(&q, &target, &StepInput::default()).unwrap();
+        }
+        let reference = controller.diagnostics().reference;
+        reference.position[1] - tool.position[1]
+    };
+    let (near, far) = (lead(0.04), lead(0.4));
+    assert!((near - 0.04).abs() < 1e-12 && far > 0.04 && far < 0.2, "{near} {far}");
+}
+
 /// Runs single steps from rest in given positions.
 struct Probe {
     controller: Controller,

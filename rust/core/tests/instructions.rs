@@ -45,6 +45,7 @@ fn instruction_sets_differ_by_rounding_only() {
     for law in [Law::Cap, Law::Impedance, Law::Paper] {
         for &set in &sets[1..] {
             let (mut plain, mut other) = (controller(&model, law, sets[0]), controller(&model, law, set));
+            assert_eq!([plain.simd_level(), other.simd_level()], [sets[0], set]);
             for tick in 0..TICKS {
                 let (q, target) = state(&model, tick);
                 let want = *plain.step(&q, &target, &StepInput::default()).unwrap();

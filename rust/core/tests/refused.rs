@@ -208,3 +208,14 @@ fn results_of_equations_that_overflow_are_errors() {
     overflows(responsibility(&matrix(7, 3, 1e308), &[10.0; 3], &DMatrix::identity(7, 7), &[1.0; 7], 1.0));
     assert!(joint_torque_limits(&matrix(7, 4, 1e308), &[10.0; 4]).is_err());
 }
+
+#[test]
+fn a_period_in_milliseconds_is_recognized() {
+    let mut controller = controller_with(Settings::default(), servos()).unwrap();
+    let target = common::arm7().forward_kinematics(&GRASP).unwrap();
+    for (dt, hint) in [(0.0, ""), (-0.01, ""), (f64::NAN, ""), (1.5, "; is it in milliseconds?")] {
+        let text = message(controller.step(&GRASP, &target, &StepInput { dt: Some(dt), ..StepInput::default() }));
+        assert_eq!(text, format!("dt [s] = {dt} is outside (0, 1]{hint}"));
+    }
+    controller.step(&GRASP, &target, &StepInput { dt: Some(1.0), ..StepInput::default() }).unwrap();
+}

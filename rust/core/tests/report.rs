@@ -3,7 +3,9 @@
 use std::sync::Arc;
 
 use pliant_core::analysis::{check_path, check_pose, raise_soft, report, report_at};
-use pliant_core::params::{Axis, LimitRule, PaperOptions, Task};
+use pliant_core::params::{
+    Axis, CompliantSide, Damping, Gain, Law, LimitRule, PaperOptions, Task, TorqueLimits, Tracking,
+};
 use pliant_core::{Controller, Model, ModelOptions, Payload, Reference, Servos, Settings, StepInput};
 
 use crate::common;
@@ -83,7 +85,7 @@ fn static_force_and_capacity_agree_with_a_search() {
 
 /// Returns a controller of one joint about z, with the tool at 0.5 m. The servo has 100 N·m/rad, 0.2 N·m of friction
 /// and 0.5 N·m·s/rad of damping; the task is y.
-fn lever() -> Controller {
+fn lever(settings: Settings) -> Controller {
     let urdf = r#"<robot name="lever"><link name="base"/><link name="tool"><inertial><mass value="0.1"/>
         <inertia ixx="1e-4" ixy="0" ixz="0" iyy="1e-4" iyz="0" izz="1e-4"/></inertial></link>
         <joint name="turn" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 0 1"/>
@@ -93,7 +95,7 @@ fn lever() -> Controller {
         <joint name="out" type="fixed"><parent link="arm"/><child link="tool"/><origin xyz="0.5 0 0"/></joint></robot>"#;
     let model = Arc::new(Model::from_urdf_str(urdf, &ModelOptions::default()).unwrap());
     let servos = Servos { friction: vec![0.2], damping: vec![0.5], ..Servos::new(vec![100.0], vec![8.0]) };
-    let settings = Settings { task: Task::parse("y").unwrap(), ..Settings::default() };
+    let settings = Settings { task: Task::parse("y").unwrap(), ..settings };
     Controller::new(model, settings, Some(servos)).unwrap()
 }
 
@@ -107,7 +109,7 @@ fn slip_force(limit: f64, y: f64) -> f64 {
 /// The joint slips at torque limit plus friction. The lever of a push along y decreases along the path.
 #[test]
 fn after_a_host_loss_a_joint_slips_at_its_limit() {
-    let report = report_at(&lever(), &[0.0]).unwrap();
+    let report = report_at(&lever(Settings::default()), &[0.0]).unwrap();
     let expected = slip_force(report.torque_limit[0], 0.15);
     for side in 0..2 {
         common::close("host-loss force", report.axes[0].host_loss_force[side], expected, 0.02 * expected);
@@ -118,7 +120,7 @@ fn after_a_host_loss_a_joint_slips_at_its_limit() {
 /// then stops the joint.
 #[test]
 fn after_a_host_loss_the_push_starts_at_the_equilibrium() {
-    let mut controller = lever();
+    let mut controller = lever(Settings::default());
     let target = controller.model().forward_kinematics(&[0.25]).unwrap();
     for _ in 0..200 {
         controller.step(&[0.0], &target, &StepInput::default()).unwrap();
@@ -131,8 +133,147 @@ fn after_a_host_loss_the_push_starts_at_the_equilibrium() {
     assert!(slip_force(report.torque_limit[0], 0.15) < 0.98 * expected, "a push from 0 rad would need less force");
 }
 
+/// The bound on the force after a host loss lowers the torque limits by as much as it needs, down to their floor.
+#[test]
+fn torque_limits_bound_the_force_after_a_host_loss() {
+    let bounded = |max: Option<f64>| {
+        let floor = Some(vec![0.3]);
+        let torque_limits = TorqueLimits { floor, margin: 0.4, max_host_loss_force: max, ..TorqueLimits::default() };
+        let report = report_at(&lever(Settings { torque_limits, ..Settings::default() }), &[0.0]).unwrap();
+        let force = report.axes[0].host_loss_force.into_iter().fold(0.0, f64::max);
+        (force, report.torque_limit[0])
+    };
+    let (free, limit) = bounded(None);
+    for share in [0.95, 0.7, 0.4] {
+        let (force, lower) = bounded(Some(share * free));
+        assert!(force <= share * free && force > (share - 0.05) * free, "{share} of {free}: {force}");
+        assert!(lower < limit, "{lower} {limit}");
+    }
+    // Gravity along y makes the push against it the stronger one, on either side.
+    for gravity in [-9.81, 9.81] {
+        let worst = |max: Option<f64>| {
+            let torque_limits = TorqueLimits { max_host_loss_force: max, ..TorqueLimits::default() };
+            let mut controller = lever(Settings { torque_limits, ..Settings::default() });
+            controller.set_gravity([0.0, gravity, 0.0]).unwrap();
+            report_at(&controller, &[0.0]).unwrap().axes[0].host_loss_force
+        };
+        let side = usize::from(gravity < 0.0);
+        let free = worst(None);
+        assert!(free[side] > 1.05 * free[1 - side], "{free:?}");
+        let force = worst(Some(0.97 * free[side]))[side];
+        assert!(force <= 0.97 * free[side] && force > 0.9 * free[side], "{force} {free:?}");
+    }
+    let at_floor = bounded(Some(0.01));
+    common::close("floor", at_floor.1, 0.3, 1e-12);
+    assert_eq!(bounded(Some(1.01 * free)), (free, limit));
+}
+
+/// Only translations are bounded: a task of rotations keeps its torque limits.
+#[test]
+fn the_bound_after_a_host_loss_is_for_translations() {
+    let limits = |axes: &str, max: Option<f64>| {
+        let torque_limits = TorqueLimits { max_host_loss_force: max, ..TorqueLimits::default() };
+        let settings = Settings { task: Task::parse(axes).unwrap(), torque_limits, ..Settings::default() };
+        report_at(&controller(settings), &GRASP).unwrap().torque_limit
+    };
+    assert_eq!(limits("rpy", Some(0.01)), limits("rpy", None));
+    assert_ne!(limits("z", Some(0.01)), limits("z", None));
+}
+
+/// The limits of all joints lose the same share of their margin, a tenth of the usable torque, if that is enough. The
+/// arm pushes against an obstacle, so that its limits exceed those for its weight by more than the margin.
+#[test]
+fn a_bound_after_a_host_loss_first_takes_the_same_share_of_each_margin() {
+    let at = |max: Option<f64>| {
+        let torque_limits = TorqueLimits { max_host_loss_force: max, ..TorqueLimits::default() };
+        let mut pushing = controller(Settings { torque_limits, ..Settings::default() });
+        let mut target = pushing.model().forward_kinematics(&GRASP).unwrap();
+        target.position.iter_mut().for_each(|value| *value += 0.02);
+        for _ in 0..100 {
+            pushing.step(&GRASP, &target, &StepInput::default()).unwrap();
+        }
+        let report = report(&pushing).unwrap();
+        let force = report.axes[..3].iter().flat_map(|axis| axis.host_loss_force).filter(|force| force.is_finite());
+        (force.fold(0.0, f64::max), report.torque_limit)
+    };
+    let (force, free) = at(None);
+    let (_, bounded) = at(Some(0.98 * force));
+    let shares: Vec<f64> = (0..7).map(|i| (free[i] - bounded[i]) / (0.1 * servos().max_torque[i])).collect();
+    assert!(shares[0] > 0.1 && shares[0] < 1.0, "{shares:?}");
+    shares.iter().for_each(|share| common::close("share", *share, shares[0], 1e-9));
+}
+
+/// At small deviations the force caps have no effect. Law `cap` then exerts `s / (C + (1 − w) λ²/k_p)` with the step `s =
+/// h K_x ẽ` within its limit and `C = l²/k_p`; law `impedance` exerts `f K ẽ` with the stiffness of the pushed side.
+#[test]
+fn yield_forces_below_the_caps_are_those_of_the_law() {
+    let (compliance, horizon, lambda) = (0.25 / 100.0, 0.3, 0.1);
+    let forces = |law: Law, yields: CompliantSide, axis: Axis| {
+        let (gain, damping) = (Gain::Scalar(2.0), Damping::Fixed(lambda));
+        let mut settings =
+            Settings { law, tracking: Tracking { gain, damping, ..Tracking::default() }, ..Settings::default() };
+        settings.paper_options.horizon = horizon;
+        settings.delay = 0.1;
+        let (soft_until, firm_from) = (Some(1e-3), Some(2e-3));
+        settings.axes[1] = Axis { yields: Some(yields), hold: Some(9.0), soft_until, firm_from, ..axis };
+        let report = report_at(&lever(settings), &[0.0]).unwrap();
+        (report.axes[0].yield_force, report.gain_factor)
+    };
+    let strong = Axis { soft: Some([9.0; 2]), firm: Some([9.0; 2]), adaptation: 0.5, ..Axis::default() };
+    let springs = Axis { stiffness: Some([200.0, 300.0]), ..strong };
+    let slow = Axis { soft_step_limit: Some(2e-3), ..strong };
+    let stiff = Axis { max_velocity: Some(3e-3), ..Axis::default() };
+    let (soft, damped) = (compliance, compliance + lambda * lambda / 100.0);
+    for (law, yields, axis, stiffness, limit) in [
+        (Law::Cap, CompliantSide::Both, strong, [horizon * 2.0 / soft; 2], f64::INFINITY),
+        (Law::Cap, CompliantSide::Both, slow, [horizon * 2.0 / soft; 2], horizon * 2e-3 / soft),
+        (Law::Cap, CompliantSide::None, Axis::default(), [horizon * 2.0 / damped; 2], f64::INFINITY),
+        (Law::Cap, CompliantSide::None, stiff, [horizon * 2.0 / damped; 2], horizon * 3e-3 / damped),
+        (Law::Impedance, CompliantSide::Both, springs, [200.0, 300.0], f64::INFINITY),
+    ] {
+        let (forces, gain_factor) = forces(law, yields, axis);
+        for side in 0..2 {
+            for (force, deviation) in forces[side].into_iter().zip([1e-3, 2e-3]) {
+                let expected = (stiffness[side] * gain_factor * deviation).min(limit);
+                common::close("yield force", force, expected, 1e-9);
+            }
+        }
+    }
+}
+
+/// The damping ratio `ρ = D C` of the lever is bounded by 0.007 s² / (T_e + T_f) with `T_e = T_d + 1 / (2 rate)`.
+#[test]
+fn the_report_gives_the_reduction_of_dampers() {
+    let factor = |damping: [f64; 2]| {
+        let mut settings = Settings { law: Law::Impedance, rate: 50.0, delay: 0.02, ..Settings::default() };
+        settings.axes[1] = Axis { damping: Some(damping), ..Axis::default() };
+        let filter = settings.tracking.velocity_filter;
+        let bound = 0.007 / (0.02 + 0.01 + filter);
+        (report_at(&lever(settings), &[0.0]).unwrap().damping_factor, bound / (0.0025 * damping[0].max(damping[1])))
+    };
+    for damping in [[50.0, 90.0], [90.0, 10.0]] {
+        let (factor, expected) = factor(damping);
+        assert!(expected < 0.95, "{expected}");
+        common::close("damping factor", factor, expected, 1e-9);
+    }
+    common::close("weak damper", factor([5.0, 5.0]).0, 1.0, 1e-15);
+    common::close("no damper", report_at(&lever(Settings::default()), &[0.0]).unwrap().damping_factor, 1.0, 1e-15);
+}
+
+/// A push beyond the reach of the arm stretches it: at its dead centre the joint no longer follows.
+#[test]
+fn a_push_that_stretches_the_arm_is_blocked() {
+    // The tool is at y = 0.48 m of at most 0.5 m.
+    let report = report_at(&lever(Settings::default()), &[1.3]).unwrap();
+    let [minus, plus] = report.axes[0].host_loss_force;
+    assert!(plus.is_infinite() && minus.is_finite() && minus > 0.0, "{minus} {plus}");
+    // A push of 0.15 m that ends just before is not blocked.
+    let report = report_at(&lever(Settings::default()), &[0.75]).unwrap();
+    assert!(report.axes[0].host_loss_force.iter().all(|force| force.is_finite()), "{report:?}");
+}
+
 /// Two springs of 50 and 100 N/m in series along y, with 1 and 3 N of friction, that do not slip: each stretches by
-/// `(F − τ_f)/k` once the push exceeds its friction.
+/// `(F − τ_f)/k` once the push exceeds its friction. Also with a thousandth of these numbers.
 #[test]
 fn dead_springs_in_series_share_the_push() {
     let inertial = r#"<inertial><mass value="0.1"/>
@@ -151,14 +292,20 @@ fn dead_springs_in_series_share_the_push() {
     );
     let options = ModelOptions { gravity: [0.0; 3], ..ModelOptions::default() };
     let model = Arc::new(Model::from_urdf_str(&urdf, &options).unwrap());
-    let servos = Servos { friction: vec![1.0, 3.0], ..Servos::new(vec![50.0, 100.0], vec![400.0; 2]) };
-    let settings = Settings { task: Task::parse("y").unwrap(), ..Settings::default() };
-    let report = report_at(&Controller::new(model, settings, Some(servos)).unwrap(), &[0.0; 2]).unwrap();
-    // The push of 0.15 m ends within two steps.
-    let [least, most] = [0.15, 0.1561].map(|y| (y + 1.0 / 50.0 + 3.0 / 100.0) / (1.0 / 50.0 + 1.0 / 100.0));
-    assert!(report.torque_limit.iter().all(|limit| *limit > most), "no slip: {:?}", report.torque_limit);
-    for force in report.axes[0].host_loss_force {
-        assert!(force >= least - 1e-6 && force <= most, "{least} {force} {most}");
+    for scale in [1.0, 1e-3] {
+        let servos = Servos {
+            friction: vec![scale, 3.0 * scale],
+            ..Servos::new(vec![50.0 * scale, 100.0 * scale], vec![400.0 * scale; 2])
+        };
+        let settings = Settings { task: Task::parse("y").unwrap(), ..Settings::default() };
+        let report =
+            report_at(&Controller::new(Arc::clone(&model), settings, Some(servos)).unwrap(), &[0.0; 2]).unwrap();
+        // The push of 0.15 m ends within two steps.
+        let [least, most] = [0.15, 0.1561].map(|y| scale * (y + 1.0 / 50.0 + 3.0 / 100.0) / (1.0 / 50.0 + 1.0 / 100.0));
+        assert!(report.torque_limit.iter().all(|limit| *limit > most), "no slip: {:?}", report.torque_limit);
+        for force in report.axes[0].host_loss_force {
+            assert!(force >= least - 1e-6 * scale && force <= most, "{least} {force} {most}");
+        }
     }
 }
 

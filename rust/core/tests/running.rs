@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
-use pliant_core::params::{Axis, Compensation, CompliantSide, Frame, Law, NullSpace, Task, Tracking};
-use pliant_core::{Controller, Model, ModelOptions, Payload, Pose, Servos, Settings, StepInput};
+use pliant_core::params::{Axis, Compensation, CompliantSide, Damping, Frame, Gain, Law, NullSpace, Task, Tracking};
+use pliant_core::{Controller, Model, ModelOptions, Payload, Pose, Servos, Settings, Snapshot, StepInput};
 
 use crate::seeded::{self, Random};
 
@@ -209,7 +209,7 @@ fn changes_of_payload_gravity_and_delay_take_effect_and_persist() {
 #[test]
 fn a_payload_change_takes_half_a_second() {
     let (_, mut controller, target) = make(Settings::default());
-    let payload = Payload { mass: 0.4, com: [0.0, 0.03, 0.05] };
+    let payload = Payload { mass: 0.4, com: [0.02, 0.03, 0.05] };
     let weight = |controller: &Controller| controller.diagnostics().gravity[1];
     let tick = |controller: &mut Controller, count: usize| {
         (0..count).for_each(|_| {
@@ -323,6 +323,28 @@ fn the_integrating_goal_removes_the_steady_error() {
 }
 
 #[test]
+fn settings_without_integration_drop_the_stored_lead() {
+    let with =
+        |integrate: f64| Settings { tracking: Tracking { integrate, ..frictionless().tracking }, ..frictionless() };
+    let (_, mut controller, mut target) = make(with(2.0));
+    let (_, mut plain, _) = make(with(0.0));
+    target.position[2] += 0.01;
+    let run = |controller: &mut Controller, ticks: usize| {
+        (0..ticks).for_each(|_| {
+            controller.step(&Q, &target, &StepInput::default()).unwrap();
+        });
+        controller.last_command().unwrap().goal().to_vec()
+    };
+    let (stored, without) = (run(&mut controller, 100), run(&mut plain, 100));
+    assert!(largest_difference(&stored, &without) > 5e-3);
+    let (mut twin, mut same) = (controller.clone(), controller.clone());
+    same.update(Settings { gravity: true, ..with(2.0) }).unwrap();
+    assert!(largest_difference(&run(&mut same, 5), &run(&mut twin, 5)) < 1e-9, "other settings keep the lead");
+    controller.update(with(0.0)).unwrap();
+    assert!(largest_difference(&run(&mut controller, 100), &without) < 1e-9);
+}
+
+#[test]
 fn the_integrator_stores_no_lead_on_soft_axes() {
     let (_, mut controller, mut target) = make(Settings {
         max_tool_speed: [f64::INFINITY; 2],
@@ -358,6 +380,114 @@ fn the_integrated_lead_is_bounded_by_the_torque_limit() {
     for i in 0..7 {
         // The stored lead uses at most the torque that gravity leaves; the lead of the law is added to it.
         assert!((goal[i] - Q[i]).abs() <= 2.0 * torque[i] / BELIEVED[i] + 1e-9, "joint {i}: {goal:?}");
+    }
+}
+
+/// One joint about y, whose tool is at 0.5 m along x and weighs 0.5 kg.
+const LEVER: &str = r#"<robot name="lever"><link name="base"/><link name="tool"><inertial><mass value="0.5"/>
+    <inertia ixx="1e-4" ixy="0" ixz="0" iyy="1e-4" iyz="0" izz="1e-4"/></inertial></link>
+    <joint name="turn" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 1 0"/>
+    <limit lower="-2" upper="2" effort="8" velocity="3"/></joint><link name="arm"/>
+    <joint name="out" type="fixed"><parent link="arm"/><child link="tool"/><origin xyz="0.5 0 0"/></joint></robot>"#;
+
+/// The stored lead of a joint exerts at most the torque that gravity leaves, and at most the force `hold` along z.
+#[test]
+fn the_stored_lead_is_bounded_by_gravity_and_by_hold() {
+    let model = Arc::new(Model::from_urdf_str(LEVER, &ModelOptions::default()).unwrap());
+    let gravity = model.gravity(&[0.0]).unwrap()[0];
+    assert!((gravity + 0.5 * 0.5 * 9.81).abs() < 1e-9, "{gravity}");
+    let stored = |hold: f64, up: f64| {
+        let tracking = Tracking { integrate: 5.0, ..Tracking::default() };
+        let mut settings = Settings { task: Task::parse("z").unwrap(), tracking, ..Settings::default() };
+        settings.axes[2].hold = Some(hold);
+        let servos = Servos::new(vec![100.0], vec![8.0]);
+        let mut controller = Controller::new(Arc::clone(&model), settings, Some(servos)).unwrap();
+        let mut target = model.forward_kinematics(&[0.0]).unwrap();
+        target.position[2] += up;
+        for _ in 0..1000 {
+            controller.step(&[0.0], &target, &StepInput::default()).unwrap();
+        }
+        // The lead beyond gravity and beyond that of the law, whose wrench W exerts JᵀW. A turn about y lowers the tool.
+        let goal = controller.last_command().unwrap().goal()[0];
+        assert!((100.0 * goal).abs() <= 8.0 + 1e-9, "the whole lead exerts at most the usable torque: {goal}");
+        let wrench = controller.diagnostics().wrench[0];
+        let stored = 100.0 * goal - gravity + 0.5 * wrench;
+        // The torque limit carries gravity, wrench and stored lead, and has a margin of a tenth of the usable torque.
+        let demand = (gravity - 0.5 * wrench.clamp(-hold, hold) + stored).abs().max(1.1 * gravity.abs());
+        let limit = controller.last_command().unwrap().torque_limit()[0];
+        assert!((limit - (demand + 0.8).min(8.0)).abs() < 1e-9, "{limit} {demand}");
+        assert_eq!(controller.diagnostics().saturated[0], demand + 0.8 > 8.0);
+        stored
+    };
+    // The margin for gravity is a tenth.
+    let usable = 8.0 - 1.1 * gravity.abs();
+    for side in [-1.0, 1.0] {
+        let (strong, weak) = (-side * stored(100.0, 0.05 * side), -side * stored(2.0, 0.05 * side));
+        assert!((strong - usable).abs() < 1e-9, "{side}: {strong} {usable}");
+        // 2 N at 0.5 m; the damping λ of the inverse kinematics leaves somewhat more.
+        assert!(weak > 0.9 && weak < 1.4, "{side}: {weak}");
+    }
+}
+
+/// The reference of a stiff axis has a velocity v and an acceleration a. In addition to the force for the deviation, the
+/// axis exerts `(t² a + t_d (v − J dq)) / C`: `t² = I/k_p` for the inertia I, and `t_d` is the time constant of a damper.
+/// The friction of the joint is compensated in the direction in which the reference moves it.
+#[test]
+fn a_stiff_axis_exerts_the_force_for_the_velocity_and_acceleration_of_its_reference() {
+    let options = ModelOptions { gravity: [0.0; 3], ..ModelOptions::default() };
+    let model = Arc::new(Model::from_urdf_str(LEVER, &options).unwrap());
+    let (kp, lever, horizon, friction, damping, lambda) = (100.0, -0.5, 0.25, 0.2, 0.5, 0.1);
+    let inertia = 0.5 * lever * lever;
+    let servos = Servos { friction: vec![friction], damping: vec![damping], ..Servos::new(vec![kp], vec![8.0]) };
+    let rest = model.forward_kinematics(&[0.0]).unwrap();
+    let mut target = rest;
+    target.position[2] += 0.1;
+    let stiff = Axis { yields: Some(CompliantSide::None), hold: Some(10.0), ..Axis::default() };
+    for law in [Law::Cap, Law::Impedance, Law::Paper] {
+        for (acceleration, dq) in [(1.0, 0.0), (1.0, 0.05), (2.0, -0.03), (20.0, 0.0)] {
+            let mut settings = Settings { law, task: Task::parse("z").unwrap(), ..Settings::default() };
+            settings.tracking.goal_slew = f64::INFINITY;
+            settings.tracking.damping = Damping::Fixed(lambda);
+            settings.max_tool_acceleration = [acceleration, 4.0];
+            settings.tracking.gain = Gain::Scalar(2.0);
+            settings.paper_options.horizon = horizon;
+            settings.axes[2] = stiff;
+            if law == Law::Impedance {
+                settings.axes[2].stiffness = Some([300.0; 2]);
+            }
+            let late = settings.delay + 0.5 / settings.rate + settings.tracking.velocity_filter;
+            let ahead = settings.compensation.delay * settings.delay * dq;
+            let mut controller = Controller::new(Arc::clone(&model), settings, Some(servos.clone())).unwrap();
+            let dq = [dq];
+            let input = StepInput { dq: Some(&dq), ..StepInput::default() };
+            controller.step(&[0.0], &rest, &input).unwrap();
+            let command = *controller.step(&[0.0], &target, &input).unwrap();
+            let record = controller.diagnostics();
+            // The reference starts from rest. The acceleration that is fed forward is bounded.
+            let (v, a) = (0.01 * acceleration, acceleration.min(3.0));
+            let by_force = law != Law::Paper;
+            let restored = if by_force { 0.5 * 0.8 * damping / kp } else { 0.0 };
+            let time = f64::min(20.0, 0.5 / late) * inertia / kp + restored;
+            let (q, row) = (record.q[0], record.rows[0][0]);
+            assert!((q - if by_force { ahead } else { 0.0 }).abs() < 1e-15 && (row - lever).abs() < 1e-3);
+            let compliance = row * row / kp;
+            let pacing = (inertia / kp * a + time * (v - row * dq[0])) / compliance;
+            let step = horizon * 2.0 * controller.gain_factor() * record.deviation[0];
+            let force = match law {
+                Law::Impedance => 300.0 * controller.gain_factor() * record.deviation[0],
+                _ => step / (compliance + lambda * lambda / kp),
+            };
+            let direction = ((dq[0] + v / row) / 0.05).tanh();
+            let feed_forward = if by_force { 0.9 * friction * direction + 0.8 * damping * dq[0] } else { 0.0 };
+            let torque = kp * (command.goal()[0] - q);
+            for (name, got, expected) in [
+                ("feed-forward", record.feed_forward[0], feed_forward),
+                ("torque", torque, row * (force + pacing) + feed_forward),
+                ("wrench", record.wrench[0], if by_force { force + pacing } else { 0.0 }),
+            ] {
+                assert!((got - expected).abs() < 1e-9, "{law:?} {acceleration} {dq:?}: {name} {got} {expected}");
+            }
+        }
     }
 }
 
@@ -406,6 +536,48 @@ fn a_captured_stiffness_is_bounded() {
     assert!(controller.capture_gravity(&Q[..6], &Q).is_err());
     let paper = Settings { law: Law::Paper, gravity: false, ..Settings::default() };
     assert!(Controller::new(arm(), paper, None).unwrap().capture_gravity(&Q, &Q).is_err());
+}
+
+#[test]
+fn a_snapshot_keeps_the_captured_stiffness_and_is_checked() {
+    let (model, mut controller, target) = make(Settings::default());
+    let gravity = model.gravity(&Q).unwrap();
+    let goal: Vec<f64> = (0..7).map(|i| Q[i] + gravity[i] / (0.8 * BELIEVED[i])).collect();
+    controller.capture_gravity(&Q, &goal).unwrap();
+    controller.step(&Q, &target, &StepInput::default()).unwrap();
+    let snapshot = controller.snapshot();
+    let restore = |snapshot: &Snapshot| {
+        Controller::from_snapshot(Arc::clone(&model), Settings::default(), Some(seeded::servos(0)), snapshot)
+    };
+    let mut other = restore(&snapshot).unwrap();
+    for _ in 0..3 {
+        let command = *controller.step(&Q, &target, &StepInput::default()).unwrap();
+        assert_eq!(command, *other.step(&Q, &target, &StepInput::default()).unwrap());
+    }
+    let captured = |index: usize, value: f64| {
+        let mut wrong = snapshot.clone();
+        wrong.captured.as_mut().unwrap()[index] = value;
+        wrong
+    };
+    let short = Snapshot { captured: Some(vec![0.01; 6]), ..snapshot.clone() };
+    let state = |length: usize| Snapshot { state: vec![1.0; length], ..snapshot.clone() };
+    let nan = Snapshot { state: vec![f64::NAN; snapshot.state.len()], ..snapshot.clone() };
+    let ramp = |mass: f64| Snapshot { payload_ramp: Some([mass, 0.0, 0.0, 0.0, 0.1]), ..snapshot.clone() };
+    for (wrong, text) in [
+        (captured(0, 0.0), "captured [rad/(N·m)] = 0 is outside (0, ∞)"),
+        (captured(6, -0.01), "captured [rad/(N·m)] = -0.01 is outside (0, ∞)"),
+        (captured(3, f64::INFINITY), "captured [rad/(N·m)] = inf is outside (0, ∞)"),
+        (short, "captured has"),
+        (Snapshot { gravity: [0.0, f64::NAN, 0.0], ..snapshot.clone() }, "gravity"),
+        (Snapshot { delay: 0.6, ..snapshot.clone() }, "delay [s] = 0.6"),
+        (state(snapshot.state.len() - 1), "state has"),
+        (nan, "state = NaN is outside numbers"),
+        (ramp(1e7), "payload_ramp = 1e7 is outside ±1e6"),
+    ] {
+        let message = restore(&wrong).unwrap_err().to_string();
+        assert!(message.starts_with(text), "{text}: {message}");
+    }
+    restore(&Snapshot { state: Vec::new(), ..snapshot.clone() }).unwrap();
 }
 
 #[test]

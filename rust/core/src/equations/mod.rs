@@ -295,6 +295,12 @@ mod tests {
     }
 
     #[test]
+    fn the_holding_torque_lies_between_soft_and_firm() {
+        let got = holding_torque(&[0.25, 0.25], &[1.0; 2], &[2.0; 2], &[5.0; 2], &[true, false]).unwrap();
+        assert!((got[0] - 1.75).abs() < 1e-15 && (got[1] - 5.0).abs() < 1e-15, "{got:?}");
+    }
+
+    #[test]
     fn invalid_arguments_are_named() {
         let message = |result: Result<DMatrix<f64>>| result.unwrap_err().to_string();
         assert_eq!(

@@ -111,9 +111,9 @@ impl<J: JointVector> Redistribution<'_, J> {
         let mut factor: f64 = 1.0;
         if params.law.by_force() {
             let torque = offset * J::load(&params.servos.kp);
-            [factor] = scale_to_fit(self.torque * self.unlocked, [torque], J::load(&params.servos.torque));
+            [factor] = scale_to_fit(self.torque, [torque], J::load(&params.servos.torque));
         }
-        let [slower] = scale_to_fit(self.offset * self.unlocked, [offset], params.reach(self.horizon));
+        let [slower] = scale_to_fit(self.offset, [offset], params.reach(self.horizon));
         factor = factor.min(slower);
         offset = offset * J::splat(factor);
         wrench = if params.law.by_force() { wrench * J::Axes::splat(factor) } else { zero };

@@ -182,6 +182,19 @@ mod tests {
     }
 
     #[test]
+    fn a_reference_that_the_limits_do_not_move_keeps_its_bits() {
+        let limits = [limit(0, 0.02, OnDeviationLimit::Wait), limit(1, 0.02, OnDeviationLimit::Yield)];
+        for i in 0..20 {
+            let (tool, before) = (at(0.1, 0.2, 0.3), at(0.27, 0.2, 0.3));
+            let limiter = DeviationLimiter { tool: &tool, base_from_task: &FRAME, before: &before };
+            let retreating = at(0.13 + 0.003 * f64::from(i), 0.21, 0.37 * f64::from(i));
+            let limited = limiter.limit(&limits, &retreating).unwrap();
+            assert_eq!((limited.reference, limited.progress.to_bits()), (retreating, 1.0_f64.to_bits()));
+            assert_eq!(limited.active, [true, false, false, false, false, false]);
+        }
+    }
+
+    #[test]
     fn a_side_that_yields_has_no_limit() {
         let tool = Pose::IDENTITY;
         let limiter = DeviationLimiter { tool: &tool, base_from_task: &FRAME, before: &tool };

@@ -479,6 +479,29 @@ mod tests {
     }
 
     #[test]
+    fn a_reference_approaches_at_the_speed_from_which_it_can_stop() {
+        let (acceleration, dt) = (2.0, 0.01);
+        let step = acceleration * dt;
+        // Distances in units of step · dt, and speeds in units of step: braking for p periods, at these speeds less one
+        // unit per period, covers the distance.
+        for (distance, speed) in
+            [(0.4, 0.4), (1.0, 1.0), (1.05, 1.025), (2.0, 1.5), (3.1, 3.1 / 3.0 + 1.0), (9.0, 3.75)]
+        {
+            let d = [0.0, distance * step * dt, 0.0];
+            let v = [0.0, speed * step, 0.0];
+            let (next, arrived) = approach::<BaselineF64>(d, v, [0.0; 3], 10.0, [acceleration, 0.0], dt);
+            assert!((next[1] / step - speed).abs() < 1e-9, "{distance}: {}", next[1] / step);
+            assert_eq!(arrived, distance <= 1.0);
+        }
+        // A target counts as reached if the reference misses it by rounding errors only.
+        for (miss, expected) in [(0.0, true), (1e-13, true), (1e-10, false)] {
+            let d = [2e-3 + miss, 0.0, 0.0];
+            let (next, arrived) = approach::<BaselineF64>(d, [0.2, 0.0, 0.0], [0.2, 0.0, 0.0], 0.2, [2.0, 0.0], dt);
+            assert!((next[0] - 0.2).abs() < 1e-7 && arrived == expected, "{miss}: {next:?} {arrived}");
+        }
+    }
+
+    #[test]
     fn a_held_reference_loses_its_share_of_the_motion_along_the_lag_only() {
         let (far, dt) = (screw([0.0, 1.0, 0.0], 1.0), 0.01);
         let (moved, lag) = ([1e-4, 2e-4, -1e-4], [0.02, 0.02, 0.01]);
@@ -506,6 +529,17 @@ mod tests {
                     }
                 }
             }
+        }
+    }
+
+    #[test]
+    fn a_lag_whose_square_underflows_holds_nothing_back() {
+        let moved = Pose { position: [1e-3, 0.0, 0.0], ..Pose::IDENTITY };
+        let far = Pose { position: [1.0, 0.0, 0.0], ..Pose::IDENTITY };
+        for lag in [1e-170, 1e-155] {
+            let mut governor = ReferenceGovernor { target: far, ..ReferenceGovernor::new(moved) };
+            governor.hold_back(&Pose::IDENTITY, &[lag, 0.0, 0.0, 0.0, 0.0, 0.0], 1.0, [[0.5; 2], [1.0; 2]], 0.01);
+            assert_eq!(governor.pose, moved);
         }
     }
 

@@ -91,8 +91,11 @@ impl Random {
 }
 
 /// Returns an arm by index: 0: the built-in arm of seven joints; 1: the same with rotated mount and tool; 2: an arm of
-/// five joints.
+/// five joints; 3: an arm of nine joints, more than the lanes of a vector register.
 pub(crate) fn arm(index: usize, options: &ModelOptions) -> Arc<Model> {
+    if index == 3 {
+        return Arc::new(Model::from_urdf_str(&nine_joints(), options).unwrap());
+    }
     let root = concat!(env!("CARGO_MANIFEST_DIR"), "/../..");
     let (file, tip) = [
         ("tests/data/golden/arm7.urdf", Some("tool")),
@@ -101,6 +104,22 @@ pub(crate) fn arm(index: usize, options: &ModelOptions) -> Arc<Model> {
     ][index];
     let options = ModelOptions { tip: tip.map(String::from), ..options.clone() };
     Arc::new(Model::from_urdf_file(format!("{root}/{file}"), &options).unwrap())
+}
+
+/// Returns the URDF of a chain of nine joints about y, z and x in turn, 0.1 m apart.
+fn nine_joints() -> String {
+    let joint = |i: usize| {
+        let axis = ["0 1 0", "0 0 1", "1 0 0"][i % 3];
+        let child = i + 1;
+        format!(
+            r#"<joint name="j{i}" type="revolute"><parent link="l{i}"/><child link="l{child}"/><axis xyz="{axis}"/>
+            <origin xyz="0.03 0 0.1"/><limit lower="-1.5" upper="1.5" effort="10" velocity="3"/></joint>
+            <link name="l{child}"><inertial><origin xyz="0 0 0.05"/><mass value="0.1"/>
+            <inertia ixx="1e-4" ixy="0" ixz="0" iyy="1e-4" iyz="0" izz="1e-4"/></inertial></link>"#
+        )
+    };
+    let joints: String = (0..9).map(joint).collect();
+    format!(r#"<robot name="nine"><link name="l0"/>{joints}</robot>"#)
 }
 
 /// Returns the servos of the arm that [`arm`] returns for the same index.
@@ -114,6 +133,9 @@ pub(crate) fn servos(index: usize) -> Servos {
             stiffness_known: true,
             ..Servos::new(vec![5.1], vec![1.9])
         };
+    }
+    if index == 3 {
+        return Servos { friction: vec![0.1], stiffness_known: true, ..Servos::new(vec![100.0], vec![10.0]) };
     }
     Servos {
         friction: spread(0.2, 0.1),
