@@ -5,6 +5,7 @@ import sys
 import time
 from itertools import islice
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -219,10 +220,58 @@ def test_memory_is_bounded(tmp_path):
     assert sender.dropped > 100
     assert len(sender._backlog) <= 10_000 + 2000
     start_time = time.monotonic()
-    sender.finish(0.2)
+    assert not sender.finish(0.2)
     assert time.monotonic() - start_time < 5.0
     os.close(end)
     os.close(start)
+
+
+def test_a_slow_writer_gets_all_data(monkeypatch):
+    """The timeout counts from the last bytes that the pipe accepted."""
+    from pliant.log import frames
+
+    end, start = os.pipe()
+    sender, now, received = frames.Sender(start), 0.0, 0
+    size = 0
+    while len(sender._backlog) < 1_000_000:
+        assert sender.send(1, bytes(10_000))
+        size += 10_000 + frames.HEADER.size
+
+    def sleep(_):
+        nonlocal now, received
+        now += 4.0
+        received += len(os.read(end, 100_000))
+
+    monkeypatch.setattr(frames, "time", SimpleNamespace(monotonic=lambda: now, sleep=sleep))
+    assert sender.finish(5.0)
+    assert now > 20.0
+    os.set_blocking(end, False)
+    while received < size:
+        received += len(os.read(end, 100_000))
+    os.close(end)
+    os.close(start)
+
+
+def test_a_writer_that_takes_no_data_is_an_error(tmp_path, monkeypatch):
+    monkeypatch.setattr("pliant.log.recorder.CLOSE_TIMEOUT", 0.5)
+    recorder = Recorder(tmp_path / "early.mcap")
+    arm = bare_arm("arm7", q=START)
+    recorder.start(arm, None, 100.0)
+    os.kill(recorder._process.pid, signal.SIGSTOP)
+    while not recorder._sender._backlog:
+        recorder._sender.send(1, bytes(10_000))
+    finish = recorder._sender.finish
+
+    def finish_and_continue(timeout):
+        is_sent = finish(timeout)
+        os.kill(recorder._process.pid, signal.SIGCONT)
+        return is_sent
+
+    recorder._sender.finish = finish_and_continue
+    wait = recorder._process.wait
+    monkeypatch.setattr(recorder._process, "wait", lambda _: wait() and 0)
+    with pytest.raises(OSError, match="the log ends early"):
+        recorder.close()
 
 
 def test_the_command_tells_draws_and_exports(file, tmp_path, capsys):

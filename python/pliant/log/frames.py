@@ -63,13 +63,21 @@ class Sender:
         except OSError:
             self.broken = True
 
-    def finish(self, timeout: float) -> None:
-        """Send all buffered frames; wait at most `timeout` [s] until the pipe accepts them."""
-        end = time.monotonic() + timeout
+    def finish(self, timeout: float) -> bool:
+        """Send all buffered frames, and return True if the pipe has accepted them.
+
+        `timeout` is the longest time for which the pipe may accept nothing [s].
+        """
+        size, end = len(self._backlog), time.monotonic() + timeout
         self._flush()
-        while self._backlog and not self.broken and (remaining := end - time.monotonic()) > 0.0:
-            time.sleep(min(remaining, FLUSH_PERIOD))
+        while self._backlog and not self.broken:
+            if len(self._backlog) < size:
+                size, end = len(self._backlog), time.monotonic() + timeout
+            if time.monotonic() > end:
+                break
+            time.sleep(min(timeout, FLUSH_PERIOD))
             self._flush()
+        return not self._backlog and not self.broken
 
 
 def receive(stream: IO[bytes]) -> tuple[int, bytes] | None:

@@ -27,8 +27,9 @@ if TYPE_CHECKING:
     from pliant.config import Config
     from pliant.loop import Commanded, Tick
 
-#: Timeout of `close`, first for sending the buffered data, then for the end of the writer [s].
-CLOSE_TIMEOUT = 5.0
+#: Longest time for which `close` waits until the writer process takes data, and until it ends [s].
+#: On a busy machine the process may still be starting.
+CLOSE_TIMEOUT = 10.0
 
 
 class Recorder:
@@ -188,8 +189,8 @@ class Recorder:
         """Send all buffered data and wait until the writer process has completed the file.
 
         Raises:
-            OSError: The writer process failed, or did not end within `CLOSE_TIMEOUT`. The file can
-                be read up to its last record.
+            OSError: The writer process failed, or neither took data nor ended for `CLOSE_TIMEOUT`.
+                The file can be read up to its last record.
         """
         process = self._process
         if self._closed or process is None or process.stdin is None:
@@ -197,7 +198,7 @@ class Recorder:
         self._closed = True
         counts = {"counters": self._counters(), "dropped": self.dropped}
         self._sender.send(frames.END, serialization.write(counts).encode())
-        self._sender.finish(CLOSE_TIMEOUT)
+        is_sent = self._sender.finish(CLOSE_TIMEOUT)
         process.stdin.close()
         try:
             code = process.wait(CLOSE_TIMEOUT)
@@ -205,3 +206,7 @@ class Recorder:
             raise OSError(f"{self.path}: the disk is slow; the writer process continues") from None
         if code != 0:
             raise OSError(f"{self.path}: the log could not be written to its end")
+        if not is_sent:
+            raise OSError(
+                f"{self.path}: the log ends early, because the disk is slow or the computer busy"
+            )
