@@ -101,7 +101,7 @@ fn padded(q: &[f64]) -> JointVec {
     out
 }
 
-/// Returns the report on the pose of the last state, once per state.
+/// Benchmark of the report: steps through all states, then reports on the last pose once per state.
 fn report_stage(model: &Arc<Model>, states: &States) -> Work {
     let mut controller =
         Controller::new(Arc::clone(model), soft_y(Law::Cap), Some(servos())).expect("settings that fit the bench arm");

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 #: Folder from which programs import this module.
 ROOT = Path(__file__).resolve().parents[1]
-#: Signals that the harness sends, and endings that the program performs itself.
+#: Signals that the harness sends, and all endings: these and failures that the program causes.
 SIGNALS = ("SIGKILL", "SIGSTOP", "SIGHUP")
 ENDINGS = (*SIGNALS, "segmentation fault", "abort", "exhausted memory", "held lock")
 #: Arms, one per servo family, with a pose above the table [rad].

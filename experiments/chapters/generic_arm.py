@@ -479,7 +479,7 @@ class TrackingChapter:
         )
 
     def draw(self, outcomes: Mapping[str, Trace], options: Options) -> None:
-        """Draw the tool's motion along the soft axis, and the deviations of other positions."""
+        """Draw the tool's motion along the soft axis, and its deviations along the others."""
         draw_swing(load(self.source), outcomes["swing"], options.figures)
 
 

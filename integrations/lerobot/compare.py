@@ -182,7 +182,7 @@ def contact(make: Robot, wall: Wall, goal: np.ndarray, ramp: float) -> tuple[str
 
 
 def press(make: Robot) -> tuple[str, ...]:
-    """Press the tool into a table by a target that lies below it."""
+    """Press the tool onto a table, with a target below its surface; return lines of results."""
     model, goal = pliant.config.load("so101").model(), START.copy()
     height = np.asarray(model.forward_kinematics(START))[2, 3] - CLEARANCE - DEPTH
     for _ in range(400):

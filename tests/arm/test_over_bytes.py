@@ -49,7 +49,7 @@ def arm_over_bytes(family, q, clock="steps", plant=None, *, zero=None, patience=
 
 
 def switches(bus, id):
-    """Return the writes of a servo's Torque Enable register, in order."""
+    """Return the writes to a servo's Torque Enable register, in order."""
     return [step for step in bus.log.order(id) if step.startswith("torque")]
 
 

@@ -1,4 +1,4 @@
-"""Force on a hand after a host loss, and caps in random poses."""
+"""Force on a hand after the host stops sending commands, and force caps in random poses."""
 
 import numpy as np
 import pytest

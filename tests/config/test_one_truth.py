@@ -36,7 +36,7 @@ voltage = {volts}
 
 
 def read(name, tmp_path, backend):
-    """Read the configuration of a ready file, or of another robot with a file of this test."""
+    """Read a built-in configuration, or that of another robot from a file written here."""
     if name in READY_FILES:
         return config.load(name, backend=backend)
     if name == "vx300s":

@@ -111,7 +111,7 @@ def test_a_slow_policy_is_held_and_then_approached_slowly(robot, pause):
     assert abs(start["shoulder_lift.pos"]) < 2.0
     assert powered(arm_of(robot))
     limit = math.degrees(robot.config.approach_speed * 0.5)
-    # 0.6 m/s at the tool are about 100 °/s here.
+    # Without a pause, the limit of 0.6 m/s at the tool allows about 100 °/s.
     assert (change < 1.3 * limit) == (pause > 1.0)
     robot.send_action({"shoulder_pan.pos": 0.0})
     wait(2.0)

@@ -1,4 +1,5 @@
-"""Array arguments of all functions: accepted forms give equal results, others a named error."""
+"""Array arguments of all functions: forms that are accepted give equal results, others
+an error that names the argument."""
 
 from __future__ import annotations
 

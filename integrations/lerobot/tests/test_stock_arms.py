@@ -20,7 +20,8 @@ STOCK = {
     "so101": (SO101Follower, SO101FollowerConfig),
     "koch": (KochFollower, KochFollowerConfig),
 }
-#: Registers that a servo changes by itself, and the goal that each program sets.
+#: Prefixes of the names of registers that may differ afterwards: those that a servo changes by
+#: itself, and the goals.
 CHANGING = ("Present", "Moving", "Realtime", "Trajectory", "Goal_Position", "Status", "Goal_PWM")
 HOME = {f"{motor}.pos": 0.0 for motor in MOTORS[:5]}
 AWAY = {"shoulder_pan.pos": 20.0, "elbow_flex.pos": -25.0, "wrist_flex.pos": 15.0}

@@ -147,7 +147,7 @@ class ExitMessages:
         return self._post(f"{self._name} {what} ({brief(error)}): {state}", logging.WARNING)
 
     def unrestored(self, names: Sequence[str]) -> None:
-        """Send the message that the joints `names` keep limits and speeds of this program."""
+        """Warn that the joints `names` still have the torque limits and speeds of this program."""
         self._post(
             f"{self._name}: the torque limits and speeds of {', '.join(names)} could not be "
             "restored: switch the supply off and on before another program drives these joints",

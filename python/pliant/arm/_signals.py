@@ -56,7 +56,7 @@ class Signals:
     """
 
     def __init__(self, stop: Callable[[], None]) -> None:
-        """Store the function `stop`; `install` registers the arm."""
+        """Store `stop`, which a signal calls once `install` has installed the handlers."""
         self.stop = stop
         self.leaving = self.stopped = False
 

@@ -40,8 +40,8 @@ POLE_DELAY, MAX_POLE = 1.0, 45.0
 FIRST_DISTURBANCE = 3e3
 #: Weight of the last period in the mean loop period, and longest period that is averaged [s].
 PERIOD_SHARE, MAX_PERIOD = 0.2, 0.1
-#: Time constant with which the longest sum of period and delay is forgotten [s]. The poles depend
-#: on this sum, because poles for a mean period are unstable if some periods are much longer.
+#: Time constant with which the largest sum of period and delay decays [s]. The observer's poles
+#: depend on it, because poles for a mean period are unstable if some periods are much longer.
 FORGET_TIME = 0.5
 #: Bounds on the torque of the balance beyond the weight: largest load at the tool [kg], share of
 #: the weight, and ratio to friction. They keep a period that lasts too long from throwing the arm.

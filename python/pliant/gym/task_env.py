@@ -77,7 +77,7 @@ class TaskEnv(gymnasium.Env[dict[str, "Array"], "Array"]):
         return self._observation(), self._arms.info(0)
 
     def step(self, action: Array) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
-        """Run the controller for one period of the decision rate; return as Gymnasium defines."""
+        """Run the controller for one decision period; see `gymnasium.Env.step` for the results."""
         assert self._arms.episodes[0] is not None, "call reset() first"
         rewards, success, failure = self._arms.step(np.asarray(action)[None], np.array([True]))
         end = bool(success[0] or failure[0])

@@ -108,7 +108,7 @@ class Door(Task):
     native: ClassVar[bool] = True
 
     def episode(self, rng: np.random.Generator) -> Episode:
-        """Return a closed door that opens toward the arm."""
+        """Return an episode with a closed door that opens toward the arm."""
         radius, friction = rng.uniform(*self.radius), rng.uniform(*self.friction)
         door = sim.Door(hinge=(0.0, -radius, 0.0), friction=friction, grip="rigid")
         return Episode([door], {"radius": radius, "friction": friction})

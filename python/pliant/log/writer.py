@@ -124,7 +124,10 @@ class LogFile:
         self._call({**message, "arguments": "", **layout.numbers(pieces, pieces)})
 
     def call(self, body: bytes) -> None:
-        """Write a message with another call of the controller, from the body of its frame."""
+        """Write a message with a call of the controller that is not a step.
+
+        `body` is the body of the frame that the recorder sent.
+        """
         record = serialization.read(body.decode())
         empty: dict[str, Any] = {name: [] for name, _ in self._step.pieces}
         arguments = serialization.write(record.pop("arguments"))

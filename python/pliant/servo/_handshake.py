@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 #: Highest id that is pinged when a servo is missing, for the list of ids that answer.
 NEARBY = 20
-#: Delay of replies beyond the wire time above which the adapter is reported to delay them [s].
+#: Extra delay of replies, beyond their wire time, above which the adapter is reported as slow [s].
 MIN_HOLD_BACK = 0.008
 #: Number of the bit of Feetech's register Phase that is set if the unit of speed is 1 step/s.
 SPEED_UNIT_BIT = 2
@@ -281,7 +281,7 @@ def _supply(device: Device, image: RegisterImage) -> tuple[float, float]:
 
 
 def _check_mode(device: Device, image: RegisterImage) -> list[str]:
-    """Return error texts for operating mode, drive mode and secondary id that are not usable."""
+    """Return an error text for each of operating mode, drive mode and secondary id if unusable."""
     errors = []
     family = device.family
     if family.status == "p2":

@@ -1,4 +1,4 @@
-"""Changes of a controller's settings by the browser page: presets, law, fields of task axes."""
+"""Changes that the browser page makes to a controller's settings: presets, law, fields of axes."""
 
 from __future__ import annotations
 

@@ -26,8 +26,9 @@ pub(crate) struct ServoCodec {
 }
 
 impl ServoCodec {
-    /// Stores a reading of a servo that was requested at `time`, unless its last reading is older than `longest` [s].
-    /// Returns the value that [`Self::decode`] reports for it; `None` if it does not need attention.
+    /// Stores a reading of a servo that was requested at `time`. A reading that comes more than `longest` [s] after the
+    /// one before is not stored, because the servo may have restarted meanwhile. Returns the value that
+    /// [`Self::decode`] reports for the servo; the outer `None`: it reports nothing.
     #[expect(clippy::option_option, reason = "a report, of which `None` is one of three values in Python")]
     fn store(
         &mut self,

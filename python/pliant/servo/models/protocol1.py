@@ -79,7 +79,7 @@ _COMPLIANCE = {
 
 
 def _compliance(punch: int) -> dict[str, int | str]:
-    """Return the values of `_COMPLIANCE` while an EX or RX servo is driven.
+    """Return the values for the registers `_COMPLIANCE` while an EX or RX servo is driven.
 
     The dead zones (margins) have their factory values, `punch` is the minimum torque, and the
     counterclockwise slope equals the clockwise one.

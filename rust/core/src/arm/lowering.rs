@@ -683,8 +683,8 @@ impl Lowering {
         }
     }
 
-    /// Returns true after the longest descent; never while positions are those of the model, because the real arm may
-    /// still hang.
+    /// Returns true once the descent has taken its longest time. Never while positions are predicted by the model instead
+    /// of measured, because the real arm may still hang.
     fn is_late(&self) -> bool {
         self.time > MAX_DURATION && !self.blind
     }

@@ -222,7 +222,7 @@ impl Servo {
         };
         let ([unit, lost], [ceiling, usable]) = (units.limit, units.ceiling);
         let torque = limit.min(usable);
-        // The tolerance makes the register of the torque of a register this register.
+        // The tolerance makes the conversion of a register to its torque and back exact.
         let counts = ((torque + lost) / unit).mul_add(1.0 + 1e-12, 1e-9).floor().min(ceiling).max(0.0);
         let speed = (speed.abs() / units.velocity.abs()).floor().min(units.max_speed).max(1.0);
         [goal, if torque > 0.0 { counts } else { 0.0 }, speed]

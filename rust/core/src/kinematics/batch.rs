@@ -115,7 +115,7 @@ fn check(what: &str, values: &[f64], expected: usize) -> Result<()> {
 pub(crate) fn gather<A: SoaLanes>(values: &[f64], size: usize) -> [A; MAX_JOINTS] {
     let last;
     let mut rows = values;
-    // Loads of eight numbers may read past the end of a row into the next.
+    // A load of eight numbers may read past the end of its row; nothing follows the last row.
     if values.len() < A::COUNT * size + LANES {
         last = last_rows(values, size);
         rows = &last;

@@ -133,8 +133,8 @@ impl Chain {
         }
     }
 
-    /// Computes the motions of the first `count` joints at `q`; with several configurations only stores the reference
-    /// to `q`.
+    /// Computes sine and cosine, or the displacement, of the first `count` joints at `q`. If the lanes of `A` hold
+    /// several configurations, only stores the reference to `q`, and they are computed on use.
     #[inline(always)]
     pub(super) fn joint_trigs<'a, A: RealOps>(
         &self,

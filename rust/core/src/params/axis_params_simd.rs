@@ -23,9 +23,9 @@ pub(crate) struct AxisParamsSimd {
     pub(crate) far_strength: [AxisArray; 2],
     /// Strength of a side that does not yield.
     pub(crate) hold: AxisArray,
-    /// Stiffness [N/m, N·m/rad]; 0 except under law `impedance`.
+    /// Stiffness on either side of the target [N/m, N·m/rad]; 0 except under law `impedance`.
     pub(crate) stiffness: [AxisArray; 2],
-    /// Damping [N·s/m, N·m·s/rad]; 0 except under law `impedance`.
+    /// Damping on either side of the target [N·s/m, N·m·s/rad]; 0 except under law `impedance`.
     pub(crate) damping: [AxisArray; 2],
     /// Target adaptation η.
     pub(crate) eta: AxisArray,

@@ -219,7 +219,7 @@ pub(crate) struct ReferenceHold<'a> {
 }
 
 impl ReferenceHold<'_> {
-    /// Undoes part of the motion that the reference has made since `before` along the deviation.
+    /// Undoes a part of the motion that the reference has made along the deviation since the pose `before`.
     #[cold]
     #[inline(never)]
     pub(crate) fn apply(&self, before: &Pose, governor: &mut ReferenceGovernor) {
