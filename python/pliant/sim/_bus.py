@@ -64,15 +64,19 @@ class Encoder:
             )
         self._flicker = int(encoder_flicker)
         self._rng = rng
-        self._grid = np.where(self.count > 0.0, self.count, 1.0)
+        self._has_counts, self._has_noise = self.count > 0.0, bool(self._noise.any())
+        self._grid = np.where(self._has_counts, self.count, 1.0)
+        self._is_exact = not self._has_counts.any()
 
     def round(self, q: Array) -> Array:
         """Return q (n,) [rad] rounded to whole counts, as a servo stores positions and goals."""
-        return np.where(self.count > 0.0, np.round(q / self._grid) * self._grid, q)
+        if self._is_exact:
+            return q.copy()
+        return np.where(self._has_counts, np.round(q / self._grid) * self._grid, q)
 
     def read(self, q: Array) -> Array:
         """Return the readings (n,) [rad] for the true positions q (n,) [rad]."""
-        if self._noise.any():
+        if self._has_noise:
             q = q + self._noise * self._rng.standard_normal(q.size)
         q = self.round(q)
         if self._flicker:
