@@ -267,7 +267,10 @@ fn a_push_that_stretches_the_arm_is_blocked() {
     let report = report_at(&lever(Settings::default()), &[1.3]).unwrap();
     let [minus, plus] = report.axes[0].host_loss_force;
     assert!(plus.is_infinite() && minus.is_finite() && minus > 0.0, "{minus} {plus}");
-    // A push of 0.15 m that ends just before is not blocked.
+    // Beyond the dead centre, at y = 0.473 m, a push toward − drives the joint to its limit of 2 rad, where y = 0.455 m.
+    let [minus, plus] = report_at(&lever(Settings::default()), &[1.9]).unwrap().axes[0].host_loss_force;
+    assert!(minus.is_infinite() && plus.is_infinite(), "{minus} {plus}");
+    // A push of 0.15 m that ends before both is not blocked.
     let report = report_at(&lever(Settings::default()), &[0.75]).unwrap();
     assert!(report.axes[0].host_loss_force.iter().all(|force| force.is_finite()), "{report:?}");
 }
