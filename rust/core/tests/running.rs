@@ -383,6 +383,24 @@ fn the_integrated_lead_is_bounded_by_the_torque_limit() {
     }
 }
 
+/// At a deviation limit the reference moves with the tool, so that an integrated lead would grow without reducing the
+/// deviation.
+#[test]
+fn nothing_is_integrated_at_a_deviation_limit() {
+    let growth = |offset: f64| {
+        let tracking = Tracking { integrate: 0.5, ..Tracking::default() };
+        let mut settings = Settings { tracking, ..Settings::default() };
+        settings.axes[2].deviation_limit = Some(0.01);
+        let (_, mut controller, mut target) = make(settings);
+        target.position[2] += offset;
+        let goals: Vec<Vec<f64>> =
+            (0..150).map(|_| controller.step(&Q, &target, &StepInput::default()).unwrap().goal().to_vec()).collect();
+        assert_eq!(controller.diagnostics().deviation_limited[2], offset > 0.01);
+        largest_difference(&goals[149], &goals[99])
+    };
+    assert!(growth(0.009) > 1e-3 && growth(0.03) < 1e-9, "{} {}", growth(0.009), growth(0.03));
+}
+
 /// One joint about y, whose tool is at 0.5 m along x and weighs 0.5 kg.
 const LEVER: &str = r#"<robot name="lever"><link name="base"/><link name="tool"><inertial><mass value="0.5"/>
     <inertia ixx="1e-4" ixy="0" ixz="0" iyy="1e-4" iyz="0" izz="1e-4"/></inertial></link>
