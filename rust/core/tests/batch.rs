@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use pliant_core::params::{Axis, CompliantSide, Damping, Follow, Law, NullSpace, PaperOptions, Projector, Tracking};
 use pliant_core::{
-    BatchInput, BatchState, Controller, Error, MAX_AXES, Model, ModelOptions, OnInvalid, Pose, Settings, SimdLevel,
-    StepInput, Targets,
+    BatchInput, BatchState, Controller, Error, MAX_AXES, Model, ModelOptions, OnInvalid, Payload, Pose, Settings,
+    SimdLevel, StepInput, Targets,
 };
 
 use crate::cases;
@@ -143,6 +143,26 @@ fn default_controller(random: &mut Random, count: usize) -> (Controller, Arms) {
     let model = seeded::arm(0, &ModelOptions::default());
     let arms = Arms::new(random, &model, count);
     (Controller::new(model, Settings::default(), Some(seeded::servos(0))).unwrap(), arms)
+}
+
+/// A payload change is gradual in the controller itself; arms of a batch have the new payload at once.
+#[test]
+fn a_batch_has_the_new_payload_at_once() {
+    let mut random = Random::new(9);
+    let (mut controller, arms) = default_controller(&mut random, 1);
+    let (q, payload) = (arms.q.clone(), Payload { mass: 0.4, com: [0.0, 0.0, 0.05] });
+    let batch = |controller: &Controller| {
+        let mut out = Out::new(1, 7);
+        controller.step_batch(&arms.input(None, false), None, out.command()).unwrap();
+        out.row(0, 7)
+    };
+    let mut loaded = controller.clone();
+    loaded.set_payload(Some(&payload)).unwrap();
+    controller.step(&q, &arms.poses[0], &StepInput::default()).unwrap();
+    controller.set_payload(Some(&payload)).unwrap();
+    let without = batch(&default_controller(&mut Random::new(9), 1).0);
+    assert_eq!(batch(&controller), batch(&loaded));
+    assert_ne!(batch(&controller), without);
 }
 
 #[test]

@@ -210,6 +210,25 @@ fn results_of_equations_that_overflow_are_errors() {
 }
 
 #[test]
+fn a_rest_posture_that_is_no_position_is_rejected() {
+    let with = |posture: Vec<f64>| Settings {
+        null_space: NullSpace { posture: Some(posture), ..NullSpace::default() },
+        ..Settings::default()
+    };
+    let mut running = controller_with(with(GRASP.to_vec()), servos()).unwrap();
+    for (posture, text) in [
+        (vec![0.0; 6], "null_space.posture has shape (6,), expected (7,)"),
+        (vec![f64::NAN; 7], "null_space.posture [rad] = NaN is outside"),
+        (vec![90.0; 7], "null_space.posture[0] (shoulder_pitch) [rad] = 90 is outside"),
+    ] {
+        for error in [message(controller_with(with(posture.clone()), servos())), message(running.update(with(posture)))]
+        {
+            assert!(error.starts_with(text), "{text}: {error}");
+        }
+    }
+}
+
+#[test]
 fn a_period_in_milliseconds_is_recognized() {
     let mut controller = controller_with(Settings::default(), servos()).unwrap();
     let target = common::arm7().forward_kinematics(&GRASP).unwrap();

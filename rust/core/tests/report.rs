@@ -200,7 +200,9 @@ fn a_bound_after_a_host_loss_first_takes_the_same_share_of_each_margin() {
     let (_, bounded) = at(Some(0.98 * force));
     let shares: Vec<f64> = (0..7).map(|i| (free[i] - bounded[i]) / (0.1 * servos().max_torque[i])).collect();
     assert!(shares[0] > 0.1 && shares[0] < 1.0, "{shares:?}");
-    shares.iter().for_each(|share| common::close("share", *share, shares[0], 1e-9));
+    for share in &shares[1..] {
+        common::close("share", *share, shares[0], 1e-9);
+    }
 }
 
 /// At small deviations the force caps have no effect. Law `cap` then exerts `s / (C + (1 − w) λ²/k_p)` with the step `s =
@@ -263,13 +265,17 @@ fn the_report_gives_the_reduction_of_dampers() {
 /// A push beyond the reach of the arm stretches it: at its dead centre the joint no longer follows.
 #[test]
 fn a_push_that_stretches_the_arm_is_blocked() {
-    // The tool is at y = 0.48 m of at most 0.5 m.
-    let report = report_at(&lever(Settings::default()), &[1.3]).unwrap();
-    let [minus, plus] = report.axes[0].host_loss_force;
-    assert!(plus.is_infinite() && minus.is_finite() && minus > 0.0, "{minus} {plus}");
-    // A push of 0.15 m that ends just before is not blocked.
-    let report = report_at(&lever(Settings::default()), &[0.75]).unwrap();
-    assert!(report.axes[0].host_loss_force.iter().all(|force| force.is_finite()), "{report:?}");
+    let forces = |q: f64| report_at(&lever(Settings::default()), &[q]).unwrap().axes[0].host_loss_force;
+    // The tool is at y = ±0.48 m of at most 0.5 m.
+    let [[minus, plus], [other_minus, other_plus]] = [forces(1.3), forces(-1.3)];
+    assert!(plus.is_infinite() && other_minus.is_infinite(), "{plus} {other_minus}");
+    assert!(minus > 0.0 && minus.is_finite() && (minus - other_plus).abs() < 1e-9, "{minus} {other_plus}");
+    // Beyond the dead centre, at y = 0.473 m, a push toward 0 drives the joint to its limit of 2 rad, where y = 0.455 m.
+    for force in [forces(1.9), forces(-1.9)].concat() {
+        assert!(force.is_infinite(), "{force}");
+    }
+    // A push of 0.15 m that ends before both is not blocked.
+    assert!(forces(0.75).iter().all(|force| force.is_finite()));
 }
 
 /// Two springs of 50 and 100 N/m in series along y, with 1 and 3 N of friction, that do not slip: each stretches by

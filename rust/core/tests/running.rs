@@ -383,6 +383,24 @@ fn the_integrated_lead_is_bounded_by_the_torque_limit() {
     }
 }
 
+/// At a deviation limit the reference moves with the tool, so that an integrated lead would grow without reducing the
+/// deviation.
+#[test]
+fn nothing_is_integrated_at_a_deviation_limit() {
+    let growth = |offset: f64| {
+        let tracking = Tracking { integrate: 0.5, ..Tracking::default() };
+        let mut settings = Settings { tracking, ..Settings::default() };
+        settings.axes[2].deviation_limit = Some(0.01);
+        let (_, mut controller, mut target) = make(settings);
+        target.position[2] += offset;
+        let goals: Vec<Vec<f64>> =
+            (0..150).map(|_| controller.step(&Q, &target, &StepInput::default()).unwrap().goal().to_vec()).collect();
+        assert_eq!(controller.diagnostics().deviation_limited[2], offset > 0.01);
+        largest_difference(&goals[149], &goals[99])
+    };
+    assert!(growth(0.009) > 1e-3 && growth(0.03) < 1e-9, "{} {}", growth(0.009), growth(0.03));
+}
+
 /// One joint about y, whose tool is at 0.5 m along x and weighs 0.5 kg.
 const LEVER: &str = r#"<robot name="lever"><link name="base"/><link name="tool"><inertial><mass value="0.5"/>
     <inertia ixx="1e-4" ixy="0" ixz="0" iyy="1e-4" iyz="0" izz="1e-4"/></inertial></link>
@@ -431,7 +449,8 @@ fn the_stored_lead_is_bounded_by_gravity_and_by_hold() {
 
 /// The reference of a stiff axis has a velocity v and an acceleration a. In addition to the force for the deviation, the
 /// axis exerts `(t² a + t_d (v − J dq)) / C`: `t² = I/k_p` for the inertia I, and `t_d` is the time constant of a damper.
-/// The friction of the joint is compensated in the direction in which the reference moves it.
+/// The friction of the joint is compensated in the direction in which the reference moves it. An axis that yields exerts
+/// the force for the deviation only.
 #[test]
 fn a_stiff_axis_exerts_the_force_for_the_velocity_and_acceleration_of_its_reference() {
     let options = ModelOptions { gravity: [0.0; 3], ..ModelOptions::default() };
@@ -442,8 +461,10 @@ fn a_stiff_axis_exerts_the_force_for_the_velocity_and_acceleration_of_its_refere
     let rest = model.forward_kinematics(&[0.0]).unwrap();
     let mut target = rest;
     target.position[2] += 0.1;
-    let stiff = Axis { yields: Some(CompliantSide::None), hold: Some(10.0), ..Axis::default() };
-    for law in [Law::Cap, Law::Impedance, Law::Paper] {
+    for (law, yields) in [Law::Cap, Law::Impedance, Law::Paper]
+        .into_iter()
+        .flat_map(|law| [(law, CompliantSide::None), (law, CompliantSide::Both)])
+    {
         for (acceleration, dq) in [(1.0, 0.0), (1.0, 0.05), (2.0, -0.03), (20.0, 0.0)] {
             let mut settings = Settings { law, task: Task::parse("z").unwrap(), ..Settings::default() };
             settings.tracking.goal_slew = f64::INFINITY;
@@ -451,7 +472,9 @@ fn a_stiff_axis_exerts_the_force_for_the_velocity_and_acceleration_of_its_refere
             settings.max_tool_acceleration = [acceleration, 4.0];
             settings.tracking.gain = Gain::Scalar(2.0);
             settings.paper_options.horizon = horizon;
-            settings.axes[2] = stiff;
+            let strength = (yields == CompliantSide::Both).then_some([10.0; 2]);
+            settings.axes[2] =
+                Axis { yields: Some(yields), soft: strength, firm: strength, hold: Some(10.0), ..Axis::default() };
             if law == Law::Impedance {
                 settings.axes[2].stiffness = Some([300.0; 2]);
             }
@@ -461,31 +484,39 @@ fn a_stiff_axis_exerts_the_force_for_the_velocity_and_acceleration_of_its_refere
             let dq = [dq];
             let input = StepInput { dq: Some(&dq), ..StepInput::default() };
             controller.step(&[0.0], &rest, &input).unwrap();
-            let command = *controller.step(&[0.0], &target, &input).unwrap();
-            let record = controller.diagnostics();
-            // The reference starts from rest. The acceleration that is fed forward is bounded.
-            let (v, a) = (0.01 * acceleration, acceleration.min(3.0));
-            let by_force = law != Law::Paper;
-            let restored = if by_force { 0.5 * 0.8 * damping / kp } else { 0.0 };
-            let time = f64::min(20.0, 0.5 / late) * inertia / kp + restored;
-            let (q, row) = (record.q[0], record.rows[0][0]);
-            assert!((q - if by_force { ahead } else { 0.0 }).abs() < 1e-15 && (row - lever).abs() < 1e-3);
-            let compliance = row * row / kp;
-            let pacing = (inertia / kp * a + time * (v - row * dq[0])) / compliance;
-            let step = horizon * 2.0 * controller.gain_factor() * record.deviation[0];
-            let force = match law {
-                Law::Impedance => 300.0 * controller.gain_factor() * record.deviation[0],
-                _ => step / (compliance + lambda * lambda / kp),
-            };
-            let direction = ((dq[0] + v / row) / 0.05).tanh();
-            let feed_forward = if by_force { 0.9 * friction * direction + 0.8 * damping * dq[0] } else { 0.0 };
-            let torque = kp * (command.goal()[0] - q);
-            for (name, got, expected) in [
-                ("feed-forward", record.feed_forward[0], feed_forward),
-                ("torque", torque, row * (force + pacing) + feed_forward),
-                ("wrench", record.wrench[0], if by_force { force + pacing } else { 0.0 }),
-            ] {
-                assert!((got - expected).abs() < 1e-9, "{law:?} {acceleration} {dq:?}: {name} {got} {expected}");
+            let (is_stiff, by_force) = (yields == CompliantSide::None, law != Law::Paper);
+            let mut before = 0.0;
+            for tick in [1.0, 2.0] {
+                let command = *controller.step(&[0.0], &target, &input).unwrap();
+                let record = controller.diagnostics();
+                // The reference starts from rest. The acceleration that is fed forward is bounded.
+                let v = f64::min(0.01 * acceleration * tick, 0.25);
+                let a = ((v - before) / 0.01).min(3.0);
+                before = v;
+                let restored = if by_force { 0.5 * 0.8 * damping / kp } else { 0.0 };
+                let time = f64::min(20.0, 0.5 / late) * inertia / kp + restored;
+                let (q, row) = (record.q[0], record.rows[0][0]);
+                assert!((q - if by_force { ahead } else { 0.0 }).abs() < 1e-15 && (row - lever).abs() < 1e-3);
+                let compliance = row * row / kp;
+                let full = (inertia / kp * a + time * (v - row * dq[0])) / compliance;
+                let (pacing, turn) = if is_stiff { (full, v / row) } else { (0.0, 0.0) };
+                let step = horizon * 2.0 * controller.gain_factor() * record.deviation[0];
+                let force = match law {
+                    Law::Impedance => 300.0 * controller.gain_factor() * record.deviation[0],
+                    Law::Cap if !is_stiff => step / compliance,
+                    _ => step / (compliance + lambda * lambda / kp),
+                };
+                let direction = ((dq[0] + turn) / 0.05).tanh();
+                let feed_forward = if by_force { 0.9 * friction * direction + 0.8 * damping * dq[0] } else { 0.0 };
+                let torque = kp * (command.goal()[0] - q);
+                for (name, got, expected) in [
+                    ("feed-forward", record.feed_forward[0], feed_forward),
+                    ("torque", torque, row * (force + pacing) + feed_forward),
+                    ("wrench", record.wrench[0], if by_force { force + pacing } else { 0.0 }),
+                ] {
+                    let text = format!("{law:?} {yields:?} {acceleration} {dq:?}: {name} {got} {expected}");
+                    assert!((got - expected).abs() < 1e-9, "{text}");
+                }
             }
         }
     }

@@ -338,3 +338,49 @@ fn each(of: impl Fn(usize) -> f64) -> JointVec {
     }
     out
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::math::spatial::Mat3;
+    use crate::model::{Model, ModelOptions};
+    use crate::params::joint_space::JointSpaceStats;
+    use crate::params::{Servos, Settings, Task};
+    use crate::pose::Pose;
+
+    /// One joint about y, whose tool is at 0.5 m along x and weighs 0.5 kg.
+    const LEVER: &str = r#"<robot name="lever"><link name="base"/><link name="tool"><inertial><mass value="0.5"/>
+        <inertia ixx="1e-4" ixy="0" ixz="0" iyy="1e-4" iyz="0" izz="1e-4"/></inertial></link>
+        <joint name="turn" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 1 0"/>
+        <limit lower="-2" upper="2" effort="8" velocity="3"/></joint><link name="arm"/>
+        <joint name="out" type="fixed"><parent link="arm"/><child link="tool"/><origin xyz="0.5 0 0"/></joint></robot>"#;
+
+    #[test]
+    fn the_arm_comes_to_rest_where_friction_holds_what_the_spring_leaves_of_the_weight() {
+        const BASE_FROM_TASK: Mat3 = Pose::IDENTITY.rotation;
+        let model = Model::from_urdf_str(LEVER, &ModelOptions::default()).unwrap();
+        let settings = Settings { task: Task::parse("z").unwrap(), ..Settings::default() };
+        let servos = Servos::new(vec![100.0], vec![8.0]);
+        let params = Params::new(&model, &settings, Some(&servos), false, &mut JointSpaceStats::default()).unwrap();
+        let masses = model.chain().masses(None);
+        for (at, expected) in [(0.3, 0.2), (-0.2, -0.2)] {
+            let [q, goal, limit, friction] =
+                [0.0, at, 8.0, 0.2].map(|value| each(|i| if i == 0 { value } else { 0.0 }));
+            let host_loss = HostLoss {
+                simd_level: SimdLevel::detect(),
+                chain: model.chain(),
+                params: &params,
+                masses: &masses,
+                gravity: model.gravity_vector(),
+                base_from_task: BASE_FROM_TASK,
+                q: &q,
+                goal: &goal,
+                limit: &limit,
+                friction: &friction,
+            };
+            let rest = host_loss.equilibrium()[0];
+            let pull = 100.0 * (at - rest) - model.gravity(&[rest]).unwrap()[0];
+            assert!((pull - expected).abs() < 0.02, "{at}: {rest} {pull}");
+        }
+    }
+}

@@ -327,11 +327,15 @@ mod tests {
     #[test]
     fn a_slow_target_is_reached_without_overshoot() {
         let at = |t: f64| Pose { position: [0.1 * t.min(1.0), 0.0, 0.0], ..Pose::IDENTITY };
-        let mut governor = ReferenceGovernor::new(Pose::IDENTITY);
+        let (mut governor, mut before) = (ReferenceGovernor::new(Pose::IDENTITY), 0.0);
         for tick in 1..200 {
             let target = at(f64::from(tick) * 0.01);
             let x = governor.update::<BaselineF64>(&target, [0.25, 1.0], [1.0, 4.0], 0.01).position[0];
             assert!(x <= target.position[0] + 1e-12, "tick {tick}: {x}");
+            // The reference accelerates within its bound, and brakes as hard as the target, which stops at once.
+            let change = governor.velocity[0] - before;
+            before = governor.velocity[0];
+            assert!(change.abs() <= 0.01 + 1e-12 || tick > 100, "tick {tick}: {change} m/s");
             // From rest the reference needs 0.1 s to reach the target's speed, and longer to close the gap.
             assert!(tick < 40 || (x - target.position[0]).abs() < 1e-9, "tick {tick}: {x}");
         }
