@@ -1,6 +1,6 @@
 #!/bin/sh
 # Mutation tests of the laws: changes one operator or result at a time, and runs the quick tests of the core.
-# usage: mutants.sh SHARD   (k/n: the k-th of n parts, from 0; 0/1 is everything and takes days on two cores)
+# usage: mutants.sh SHARD   (k/n: the k-th of n parts, from 0; 0/1 is everything and takes a night on two idle cores)
 # Needs cargo-mutants and cargo-nextest. Results go into build/mutants.
 set -eu
 shard=$1
