@@ -387,7 +387,7 @@ def test_registers_and_zeros_are_those_of_the_ended_program_on_two_ports(monkeyp
         copy.close()
 
 
-@pytest.mark.parametrize(("robot", "requests"), [("so101", 8), ("koch", 16)])
+@pytest.mark.parametrize(("robot", "requests"), [("so101", 8), ("koch", 21)])
 def test_the_first_goal_of_a_guardian_needs_few_requests(robot, requests):
     """Until then, servos hold what the program sent last."""
     with make_emulator(guardian.configuration(robot)) as emulated:

@@ -202,7 +202,6 @@ def resume(devices: Sequence[Device], ports: Ports, budget: float, patience: flo
                 silent.append(device)
                 continue
             image = RegisterImage(device, *replies)
-            device.accept_any_position()
             device.accept(reading)
             device.enabled = device.torque_on = bool(image["torque_enable"])
             device.torque_unknown = False

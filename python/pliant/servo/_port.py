@@ -258,7 +258,7 @@ class Port:
                     self.guard.sync_write(ids, block.address, [bytes([units])] * len(ids))
             except BusError as error:
                 error.raise_if_gone()
-            answered = self._read_blocks(pending, block)
+            answered = [device for device in pending if self._read_block(device, block)]
             pending = [d for d in pending if d not in answered or d.watchdog != self.watchdog]
             if not answered:
                 break
@@ -308,19 +308,6 @@ class Port:
             self.guard.sync_write(group.ids, block.address, items)
         for device, goal, limit, packet in zip(group.devices, goals, limits, data[0], strict=True):
             device.record_sent(goal, limit, packet)
-
-    def _read_blocks(self, devices: Sequence[Device], block: Block) -> list[Device]:
-        """Read a block of each servo, with one request if possible; return those that answered."""
-        if len(devices) > 1 and devices[0].family.sync_read:
-            try:
-                block, answers, time = self.guard.sync_read([d.id for d in devices], block)
-            except BusError as error:
-                error.raise_if_gone()
-            else:
-                for device, (data, status) in zip(devices, answers, strict=True):
-                    device.note(Reply(block, data, status, time))
-                return list(devices)
-        return [device for device in devices if self._read_block(device, block)]
 
     def _read_block(self, device: Device, block: Block) -> bool:
         """Read a block of registers and store its values in the device; False: no reply came."""
