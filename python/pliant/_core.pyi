@@ -2502,12 +2502,14 @@ def update_contacts(
         contacts: Estimators of the arms (N,); the rows of None are skipped.
         Q: Measured joint positions (N, T, n) [rad].
         dt: Time between readings [s].
-        sent: Goals and limits (N, T, n) sent last before each reading.
+        sent: Goals [rad] and torque limits [N m] (N, T, n) sent last before each reading.
         out: Arrays for velocity (N, n), force (N, 6) and uncertainty (N, 6) of the last estimates.
 
     Raises:
         ShapeError, OutOfRangeError: An input is invalid; estimators before the invalid row have
             changed.
+        ValueError, RuntimeError: Arrays share memory, or an estimator is in use by another call or
+            listed twice; nothing has changed.
     """
 
 def damped_pseudo_inverse(J: ArrayLike, damping: float) -> _Array:
@@ -3177,6 +3179,7 @@ class ServoCodec:
 
             Raises:
                 ShapeError, OutOfRangeError: See `encode`; nothing was sent.
+                ValueError: A block has another size than the packet; nothing is recorded.
                 TimeoutError, OSError: The port takes no bytes, or has vanished; nothing is
                     recorded.
             """
@@ -3191,7 +3194,7 @@ class ServoCodec:
             packet: Bytes written to the first block of registers; empty if unknown.
 
         Raises:
-            ShapeError: The packet is longer than 32 bytes.
+            ShapeError, OutOfRangeError: The packet is longer than 32 bytes, or no such servo.
         """
 
     def sent(self, servo: int) -> tuple[int | None, int, int, bytes]:

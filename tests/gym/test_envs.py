@@ -186,8 +186,10 @@ def test_a_picture_without_a_display_is_an_error_with_a_remedy():
     )
     out = in_new_process(code, DISPLAY="", WAYLAND_DISPLAY="", MUJOCO_GL="")
     assert out.returncode == 0, out.stderr
-    said = "ConfigError no display to draw on: set MUJOCO_GL=egl (or osmesa) before Python starts"
-    assert out.stdout.splitlines() == [said] * 2
+    message = (
+        "ConfigError no display to draw on: set MUJOCO_GL=egl (or osmesa) before Python starts"
+    )
+    assert out.stdout.splitlines() == [message] * 2
 
 
 @pytest.mark.slow

@@ -194,6 +194,9 @@ def test_a_command_encoded_with_its_packet_is_the_command_encoded_before_it():
     for bad in (([0.3, math.nan], [0.5, 0.5], None, 2.0), ([0.3, 0.3], [0.5, -1.0], None, 2.0)):
         with pytest.raises(OutOfRangeError, match="command"):
             port.io.sync_encode(ids[:1], family.write_blocks, codec, [0], bad)
+    address, block_size = family.write_blocks[0]
+    with pytest.raises(ValueError, match="one row of the size of the block"):
+        port.io.sync_encode(ids, [(address, block_size - 1)], codec, [0, 1], command)
     port.reply = packet(3)
     port.io.read(3, 56, SIZE)
     assert b"".join(port.requests)[2 * size :] == bytes((255, 255, 3, 4, 2, 56, SIZE, 186))

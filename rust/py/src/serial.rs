@@ -70,11 +70,11 @@ pub(crate) fn exchange<'py>(
     let Some(rows) = data else {
         return read_registers(py, descriptor, instruction, &ids, block, timeout)?.to_python(py);
     };
-    if rows.len() != ids.len() || rows.iter().any(|row| row.as_bytes().len() != block[1]) {
-        return Err(PyValueError::new_err("data has one row of the size of the block for each id"));
+    if rows.iter().any(|row| row.as_bytes().len() != block[1]) {
+        return Err(wrong_size());
     }
-    let bytes: Vec<u8> = rows.iter().flat_map(PyBytesMethods::as_bytes).copied().collect();
-    write_registers(py, descriptor, &ids, block, &bytes, timeout)?;
+    let data: Vec<u8> = rows.iter().flat_map(PyBytesMethods::as_bytes).copied().collect();
+    write_registers(py, descriptor, &ids, block, &data, timeout)?;
     Ok(PyList::empty(py).into_any())
 }
 
@@ -107,6 +107,9 @@ pub(crate) fn write_registers(
     data: &[u8],
     timeout: f64,
 ) -> PyResult<()> {
+    if data.len() != ids.len() * block[1] {
+        return Err(wrong_size());
+    }
     let (ids, header) = (bytes(ids)?, bytes(&block)?);
     let mut request = vec![0xff, 0xff, BROADCAST, 0, SYNC_WRITE, header[0], header[1]];
     for (id, row) in ids.iter().zip(data.chunks(block[1].max(1))) {
@@ -114,6 +117,10 @@ pub(crate) fn write_registers(
         request.extend_from_slice(row);
     }
     send_request(py, descriptor, request, &[], header[1], timeout).map(|_| ())
+}
+
+fn wrong_size() -> PyErr {
+    PyValueError::new_err("data has one row of the size of the block for each id")
 }
 
 /// Returns the numbers as bytes.
@@ -156,8 +163,8 @@ fn send_request(
 }
 
 /// Writes the request and reads the replies into `reply`, whose length is that of the expected packets. If replies are
-/// expected, bytes that were received before are discarded. Returns the number of bytes read, and true if they are not a valid packet of the expected size from each of
-/// the servos `ids`; reading ends when this shows.
+/// expected, bytes that were received before are discarded. Returns the number of bytes read, and true if they are not a
+/// valid packet of the expected size from each of the servos `ids`; reading ends when this shows.
 fn write_and_read(
     port: BorrowedFd<'_>,
     request: &[u8],

@@ -296,8 +296,8 @@ mod tests {
 
     #[test]
     fn the_holding_torque_lies_between_soft_and_firm() {
-        let got = holding_torque(&[0.25, 0.25], &[1.0; 2], &[2.0; 2], &[5.0; 2], &[true, false]).unwrap();
-        assert!((got[0] - 1.75).abs() < 1e-15 && (got[1] - 5.0).abs() < 1e-15, "{got:?}");
+        let torques = holding_torque(&[0.25, 0.25], &[1.0; 2], &[2.0; 2], &[5.0; 2], &[true, false]).unwrap();
+        assert!((torques[0] - 1.75).abs() < 1e-15 && (torques[1] - 5.0).abs() < 1e-15, "{torques:?}");
     }
 
     #[test]
