@@ -21,7 +21,7 @@ from pliant._core import (
 )
 from pliant._priority import check_real_time_priority, real_time_priority
 from pliant._validation import format_value, real
-from pliant.arm._checks import check_same_robot, vector
+from pliant.arm._checks import check_same_robot, longest_command_age, vector
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -34,8 +34,6 @@ if TYPE_CHECKING:
 LOG = logging.getLogger("pliant")
 #: Time without new positions after which the controller is reset to the present pose [s].
 RESTART = 0.25
-#: A command is rejected if its tick began longer ago than both this many periods and this time [s].
-STALE_PERIODS, STALE = 5.0, 0.1
 #: Time step of the first controller step after a reset [s]. Goals move at a limited speed; in this
 #: step they can reach the lead (goal minus position) that holds the arm against gravity.
 PRIME = 0.1
@@ -314,7 +312,9 @@ class Loop:
                 f"ticks per second: connect(..., rate={rate:g})"
             )
         self._arm, self._clock, self.duration = arm, arm.clock, duration
-        self._stale = max(STALE_PERIODS * self.period, STALE)
+        self._stale = longest_command_age(rate)
+        # Age of the last rejected command; 0: it was rejected because of its numbers [s].
+        self._rejected_age = 0.0
         self._max_step_time = arm.comm_timeout if max_step_time is None else float(max_step_time)
         self.lateness = LatenessHistogram()
         self.missed = self.missing = self.rejected = self.restarts = 0
@@ -396,8 +396,7 @@ class Loop:
                 commanded = now if tick.answered else commanded
                 if now - commanded > arm.comm_timeout:
                     raise ServoTimeoutError(
-                        f"no command could be sent for {now - commanded:.2f} s: every tick needs "
-                        "tick.write(command) with finite numbers, or tick.skip()"
+                        f"no command could be sent for {now - commanded:.2f} s: {self._cause()}"
                     )
             else:
                 self.missing += 1
@@ -413,6 +412,16 @@ class Loop:
                 skipped = math.ceil(late / self.period - 1e-9)
                 self.missed += skipped
                 deadline += skipped * self.period
+
+    def _cause(self) -> str:
+        """Return the cause and the remedy for ticks without a command."""
+        if self.rejected and self._rejected_age:
+            return (
+                f"the last one came {self._rejected_age:.2f} s after the start of its tick, where "
+                f"{self._stale:.2f} s are allowed: reading the arm or the program takes too long; "
+                "`pliant servos doctor ARM` measures the reading; a lower rate allows more"
+            )
+        return "every tick needs tick.write(command) with finite numbers, or tick.skip()"
 
     def _wait_no_longer_than(self, ages: Array, longest: float) -> None:
         """Raise `ServoTimeoutError` if a position is older than `longest` [s].
@@ -479,7 +488,8 @@ class Loop:
                 f"torque_limit, got {format_value(command)}; arm.write(goal, limit) "
                 "takes bare numbers"
             )
-        if clock.now() - tick.began > self._stale:
+        if (age := clock.now() - tick.began) > self._stale:
+            self._rejected_age = age
             self.rejected += 1
             return False
         try:
@@ -487,6 +497,7 @@ class Loop:
         except OutOfRangeError:
             if np.isfinite(goal).all() and np.isfinite(limit).all():
                 raise
+            self._rejected_age = 0.0
             self.rejected += 1
             return False
         self._delays.append(clock.now() - tick.state.time)

@@ -15,7 +15,7 @@ from experiments import bus_lower
 from experiments.lifecycle import LOAD
 from pliant.arm import Arm
 from pliant.arm._messages import MESSAGES
-from pliant.emulator import ManualClock, Mount, emulate
+from pliant.emulator import ManualClock, Mount, Timing, emulate
 from pliant.servo import ServoBus, ServoSpec
 
 #: Units of the speed registers [rad/s]: one encoder step per second, and 0.229 rpm.
@@ -29,7 +29,9 @@ MORE_FAMILIES = {
 
 
 @contextmanager
-def arm_over_bytes(family, q, clock="steps", plant=None, *, zero=None, patience=0.1, **options):
+def arm_over_bytes(
+    family, q, clock="steps", plant=None, *, zero=None, patience=0.1, timing=None, **options
+):
     robot, device, model, registers = (FAMILIES | MORE_FAMILIES)[family]
     chain_model = pliant.robots.load(robot)
     names = [*chain_model.joint_names, "gripper"]
@@ -37,13 +39,19 @@ def arm_over_bytes(family, q, clock="steps", plant=None, *, zero=None, patience=
         Mount(joint=n, model=device, id=k, registers=registers) for k, n in enumerate(names, 1)
     ]
     is_held = plant is not None
-    with emulate(chain_model, mounts, q=np.array(q), clock=clock, plant=plant, held=is_held) as bus:
+    timing = timing or Timing()
+    with emulate(
+        chain_model, mounts, q=np.array(q), clock=clock, plant=plant, held=is_held, timing=timing
+    ) as bus:
         specs = [
             ServoSpec(name=n, model=model or device, id=k, port=bus.port, zero=(zero or {}).get(n))
             for k, n in enumerate(names, 1)
         ]
         servo_bus = ServoBus(
-            specs, reply_timeout_min=patience, clock=ManualClock(bus) if clock == "steps" else None
+            specs,
+            rate=options.get("rate", 100.0),
+            reply_timeout_min=patience,
+            clock=ManualClock(bus) if clock == "steps" else None,
         )
         yield bus, Arm(chain_model, servo_bus, handle_signals=False, **options)
 
@@ -104,8 +112,56 @@ def test_enabled_in_order_controlled_and_held(family):
         assert np.linalg.norm(bus.plant.tool[:3, 3] - start) < 0.01
 
 
+#: An FTDI adapter whose latency timer has its factory value.
+SLOW_ADAPTER = Timing(wire=True, usb_latency=0.016)
 #: Poses in which the tool is 32 cm and 3 cm above the end of its descent [rad].
 HIGH, LOW = [0.0, 0.2, 0.0, 0.2, 0.0], [0.0, 1.5, 0.0, 0.0, 0.0]
+
+
+def hold(arm, rate, pause=0.0):
+    """Hold the arm where it is for 1 s, in a loop at `rate` [Hz]; return the loop.
+
+    The program pauses in each tick for `pause` [s].
+    """
+    controller = pliant.Controller(arm.model, pliant.Settings(task="xyz"), arm.servos)
+    target = arm.model.forward_kinematics(arm.read().q)
+    loop = pliant.Loop(arm, controller, rate=rate, duration=1.0)
+    for tick in loop:
+        arm.clock.wait_until(arm.clock.now() + pause)
+        tick.step(target)
+    return loop
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_a_slow_adapter_makes_the_loop_slow_but_no_command_too_old(family):
+    # With one request per servo after the silence of `enable`, every command was too old.
+    with arm_over_bytes(family, LOW, timing=SLOW_ADAPTER, watchdog=0.2) as (bus, arm):
+        arm.enable()
+        loop = hold(arm, rate=100.0)
+        assert loop.rejected == 0
+        assert loop.missed > 10
+        arm.close()
+        assert not any(bus.servo(k).get("torque_enable") for k in range(1, 7))
+
+
+def test_an_arm_that_is_read_too_slowly_for_its_loop_gets_no_torque():
+    with arm_over_bytes("mx", LOW, timing=SLOW_ADAPTER) as (bus, arm):
+        with pytest.raises(pliant.ServoError, match=r"takes 9\d ms, .* 70 ms .* 100 Hz: torque st"):
+            arm.enable()
+        assert not any(switches(bus, k) for k in range(1, 7))
+        arm.close()
+    with arm_over_bytes("mx", LOW, timing=SLOW_ADAPTER, rate=5.0) as (_, arm):
+        arm.enable()
+        assert hold(arm, rate=5.0).rejected == 0
+        arm.close()
+
+
+def test_commands_that_come_too_late_are_named_as_the_cause():
+    with arm_over_bytes("sts", LOW) as (_, arm):
+        arm.enable()
+        with pytest.raises(pliant.ServoTimeoutError, match=r"0\.15 s after the start of its tick"):
+            hold(arm, rate=100.0, pause=0.15)
+        arm.close()
 
 
 @pytest.mark.parametrize(

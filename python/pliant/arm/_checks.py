@@ -25,6 +25,9 @@ FLOAT = np.dtype(np.float64)
 SLACK = 0.1
 #: Largest accepted value of the argument `comm_timeout` [s].
 MAX_COMM_TIMEOUT = 60.0
+#: A command of a loop is rejected if its tick began longer ago than both this many periods and this
+#: time [s].
+STALE_PERIODS, STALE = 5.0, 0.1
 #: Largest differences in a joint's position [m] and orientation [rad] between two models of the
 #: same robot, for example one from drawings and one that was measured.
 MAX_SHIFT, MAX_TURN = 0.005, 0.05
@@ -119,6 +122,11 @@ def times(rate: float, comm_timeout: float, watchdog: float) -> tuple[float, flo
     if not 0.0 <= watchdog < np.inf:
         raise ConfigError(f"watchdog must be 0 s (never) or more and finite, got {watchdog:g}")
     return rate, comm_timeout, watchdog
+
+
+def longest_command_age(rate: float) -> float:
+    """Return the largest age of a tick [s] at which a loop at `rate` [Hz] sends its command."""
+    return max(STALE_PERIODS / rate, STALE)
 
 
 def posture(model: Model, value: ArrayLike, name: str) -> Array:

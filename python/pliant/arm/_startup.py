@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pliant._core import SUPPORT, ServoError, ServoTimeoutError
-from pliant.arm._checks import outside
+from pliant.arm._checks import longest_command_age, outside
 
 if TYPE_CHECKING:
     from pliant._typing import Array, Mask
@@ -30,10 +30,16 @@ LEAD_FACTOR = 2.0
 FIRST_LEAD, LARGEST_LEAD = 0.03, 0.8
 #: Ratio of measured to assumed servo stiffness, or inverse ratio, above which the user is warned.
 MISMATCH = 1.5
+#: Number of readings whose fastest counts, and largest share of `longest_command_age` that it may
+#: take: the rest is for the program and for other requests.
+READINGS, READING_SHARE = 3, 0.7
 
 
-def wait_for_all(io: ArmIO, rate: float) -> None:
+def wait_for_all(io: ArmIO, rate: float) -> float:
     """Read all joints at `rate` [Hz] until every joint has answered once.
+
+    Returns:
+        Time that the last reading took [s].
 
     Raises:
         ServoTimeoutError: Joints have not answered in `ATTEMPTS` cycles; the message names them.
@@ -41,13 +47,58 @@ def wait_for_all(io: ArmIO, rate: float) -> None:
     positions, joints = io.positions, io.joints
     positions.reset()
     for _ in range(ATTEMPTS):
-        io.sample()
+        duration = _time_reading(io)
         silent = [joints.names[i] for i in np.flatnonzero(np.isnan(positions.position))]
         if not silent:
-            return
+            return duration
         io.clock.wait_until(io.clock.now() + 1.0 / rate)
     raise ServoTimeoutError(
         f"no answer from {', '.join(silent)}: torque stays off; check their power, cable and id"
+    )
+
+
+def _time_reading(io: ArmIO) -> float:
+    """Read all joints once, and return the time that this took [s]."""
+    begin = io.clock.now()
+    io.sample()
+    return io.clock.now() - begin
+
+
+def check_reading_time(io: ArmIO, duration: float, rate: float, *, required: bool) -> str | None:
+    """Check that all joints can be read at `rate` [Hz].
+
+    The fastest of `READINGS` readings counts, because other programs may delay one.
+
+    Args:
+        io: Read access to the arm.
+        duration: Time that the last reading took [s].
+        rate: Rate of the loops [Hz].
+        required: True: raise an error if a loop could send no command.
+
+    Returns:
+        A warning if a reading takes longer than a period, else None.
+
+    Raises:
+        ServoError: A reading takes so long that a loop would reject every command.
+    """
+    for _ in range(READINGS - 1):
+        if duration <= 1.0 / rate:
+            return None
+        duration = min(duration, _time_reading(io))
+    longest = READING_SHARE * longest_command_age(rate)
+    if required and duration > longest:
+        raise ServoError(
+            f"reading all joints takes {duration * 1e3:.0f} ms, at most {longest * 1e3:.0f} ms are "
+            f"allowed at {rate:g} Hz: torque stays off. Often the latency timer of the adapter is "
+            "16 ms: set it to 1 ms (docs/troubleshooting.md; `pliant servos doctor ARM` reports "
+            f"it), or lower the rate: {0.5 / duration:.2g} Hz"
+        )
+    if duration <= 1.0 / rate:
+        return None
+    return (
+        f"reading all joints takes {duration * 1e3:.0f} ms, a period at {rate:g} Hz "
+        f"{1e3 / rate:.0f} ms: the loop is slower than that. `pliant servos doctor ARM` measures "
+        "the reading; an adapter may delay each answer by a latency timer (docs/troubleshooting.md)"
     )
 
 

@@ -21,6 +21,7 @@ from pliant.arm._messages import MESSAGES
 from pliant.arm._shutdown import ExitMessages, descend, exit_cause, hold_position
 from pliant.arm._signals import Signals, is_interrupted
 from pliant.arm._startup import (
+    check_reading_time,
     check_within_limits,
     initial_commands,
     stiffness_mismatch,
@@ -175,8 +176,8 @@ class Arm:
 
         Raises:
             ServoTimeoutError: Joints do not answer; the message names them.
-            ServoError: A joint reads outside its limits, and nothing was sent; or joints moved or
-                did not confirm when torque came on.
+            ServoError: A joint reads outside its limits, or the bus is too slow for `rate`, and
+                nothing was sent; or joints moved or did not confirm when torque came on.
         """
         with self._supervisor.exclusive():
             if not self.enabled:
@@ -190,15 +191,19 @@ class Arm:
         self.open()
         self._supervisor.reason = None
         io = self._io
-        wait_for_all(io, self.rate)
+        duration = wait_for_all(io, self.rate)
         names = io.joints.names
         on = np.broadcast_to(getattr(self.drive, "enabled", False), len(names))[io.joints.chain]
+        # A joint that has torque already must be taken over, however slow the bus is.
+        warning = check_reading_time(io, duration, self.rate, required=not on.any())
         check_within_limits(io, on)
         start_q = io.q
         start, limit, lead, carried = initial_commands(io, on)
         for name, gripper in self.grippers.items():
             io.orders[name] = (gripper.position, gripper.limit)
         MESSAGES.start()
+        if warning is not None:
+            MESSAGES.post(warning, logging.WARNING)
         try:
             if self._signals is not None:
                 self._signals.install()

@@ -185,6 +185,9 @@ def make_arm(config: Config, **options: Any) -> Arm:
     """
     if "table" in options:
         config = _on_table(config, options.pop("table"))
+    if "rate" in options:
+        loop = config.loop.model_copy(update={"rate": real(options.pop("rate"), "rate")})
+        config = config.model_copy(update={"loop": loop})
     backend_options = _backend_options(config, options)
     model = config.model()
     _check_rest(config, model)
@@ -200,8 +203,6 @@ def make_arm(config: Config, **options: Any) -> Arm:
         "grippers": gripper_configs(config),
         **{key: value for key, value in options.items() if key not in backend_options},
     }
-    if config.backend == "sim":
-        backend_options.setdefault("rate", values["rate"])
     drive = make_drive(config, model, **backend_options)
     if config.backend == "sim" and "grippers" not in options:
         values["grippers"] = _fixed(model, drive) | values["grippers"]

@@ -183,33 +183,63 @@ class Port:
                 group.decoder = Decoder(codec, group.indices, self._restart, plain)
         return groups
 
-    def _accept(self, device: Device, reply: Reply, accepted: list[int]) -> None:
-        """Pass a reading to its servo; add the servo's index to `accepted` if it is plausible."""
-        if self._misses:
+    def _accept(self, replies: Sequence[tuple[Device, Reply]], accepted: list[int]) -> None:
+        """Pass readings to their servos; add the indices of plausible ones to `accepted`."""
+        silent = [d for d, r in replies if d.enabled and r.time - d.time > self._restart]
+        unknown = self._check_restart(silent) if silent else set()
+        for device, reply in replies:
             self._misses.pop(device.id, None)
-        silent = reply.time - device.time > self._restart
-        if device.enabled and silent and not self._check_restart(device):
-            return
-        if device.accept(reply):
-            accepted.append(device.index)
-        else:
-            self.guard.counters.stale += 1
+            if device.id in unknown:
+                continue
+            if device.accept(reply):
+                accepted.append(device.index)
+            else:
+                self.guard.counters.stale += 1
 
-    def _check_restart(self, device: Device) -> bool:
-        """Read torque state and watchdog of a servo that was silent; return False without a reply.
+    def _check_restart(self, devices: Sequence[Device]) -> set[int]:
+        """Read torque state and watchdog of servos that were silent.
 
         A restarted servo gets no more goals, because a goal switches torque on in some models. A
         tripped watchdog is cleared, because the servo rejects goals until then.
+
+        Returns:
+            Ids of the servos without a reply.
         """
-        try:
-            device.note(self.guard.read(device.id, device.family.block("torque_enable")))
-            if self._is_armed and "watchdog" in device.family.registers:
-                device.note(self.guard.read(device.id, device.family.block("watchdog")))
-        except BusError as error:
-            error.raise_if_gone()
-            return False
-        self.clear_watchdogs([device])
-        return True
+        unknown = self._note_registers(devices, "torque_enable")
+        if self._is_armed:
+            armed = [d for d in devices if "watchdog" in d.family.registers]
+            unknown |= self._note_registers(armed, "watchdog")
+        self.clear_watchdogs([device for device in devices if device.id not in unknown])
+        return unknown
+
+    def _note_registers(self, devices: Sequence[Device], name: str) -> set[int]:
+        """Read a register of these servos, with one request if possible, and note its values.
+
+        Behind an adapter with a latency timer, a request per servo would take longer than a command
+        may be old.
+
+        Returns:
+            Ids of the servos without a reply.
+        """
+        silent: set[int] = set()
+        for group in _groups(devices, lambda d: (d.family.sync_read, d.family.block(name))):
+            block = group.family.block(name)
+            if group.family.sync_read and len(group.ids) > 1:
+                try:
+                    block, answers, time = self.guard.sync_read(group.ids, block)
+                except BusError as error:
+                    error.raise_if_gone()
+                else:
+                    for device, (data, status) in zip(group.devices, answers, strict=True):
+                        device.note(Reply(block, data, status, time))
+                    continue
+            for device in group.devices:
+                try:
+                    device.note(self.guard.read(device.id, block))
+                except BusError as error:
+                    error.raise_if_gone()
+                    silent.add(device.id)
+        return silent
 
     def clear_watchdogs(self, devices: Iterable[Device]) -> None:
         """Clear tripped watchdogs and arm them again; a failed write is retried in the next cycle.
@@ -340,8 +370,8 @@ class Port:
             accepted += group.indices
             return
         if self._misses:
-            for device, (data, status) in zip(group.devices, answers, strict=True):
-                self._accept(device, Reply(block, data, status, time), accepted)
+            replies = [Reply(block, data, status, time) for data, status in answers]
+            self._accept(list(zip(group.devices, replies, strict=True)), accepted)
             return
         if decoder is None:
             codec = group.devices[0].codec
@@ -351,17 +381,19 @@ class Port:
             accepted += group.indices
             return
         results = dict(notable)
+        silent = []
         for i, device in enumerate(group.devices):
             data, status = answers[i]
             result = results.get(i, True)
             if result is None:
-                self._accept(device, Reply(block, data, status, time), accepted)
+                silent.append((device, Reply(block, data, status, time)))
             elif i in results and not device.check_reading(result, status, time):
                 self.guard.counters.stale += 1
             else:
                 accepted.append(device.index)
                 if has_status:
                     device.note_status(Reply(block, data, status, time))
+        self._accept(silent, accepted)
 
     def _read_each(
         self,
@@ -402,8 +434,7 @@ class Port:
             self._misses[number] = self._misses.get(number, 0) + 1
             if self._misses[number] >= MAX_MISSES:
                 self._silent[number] = PROBE_CYCLES
-        for device, reply in replies:
-            self._accept(device, reply, accepted)
+        self._accept(replies, accepted)
 
     def _probe(self, accepted: list[int]) -> None:
         """Read one servo that has been skipped for `PROBE_CYCLES` cycles, if there is one."""
@@ -418,7 +449,7 @@ class Port:
                 error.raise_if_gone()
             else:
                 del self._silent[device.id]
-                self._accept(device, reply, accepted)
+                self._accept([(device, reply)], accepted)
 
 
 def latency_timer(path: str) -> float | None:
