@@ -186,6 +186,39 @@ def test_a_latched_servo_is_not_enabled_and_reboot_clears_it(emulated, enabled):
         assert servo_bus.enabled.all()
 
 
+@pytest.mark.parametrize("kind", ["xm", "xl430", "mx", "ex"])
+def test_an_overload_that_leaves_the_torque_on_is_no_fault(emulated, enabled, kind):
+    # Bit 5 of Shutdown is clear after `pliant servos setup`; the servo reports the overload still.
+    with emulated(kind, 2, clock="steps", is_open=False) as (bus, servo_bus):
+        for id in (1, 2):
+            servo = bus.servo(id)
+            servo.put("shutdown", servo.get("shutdown") & ~0x20)
+        servo_bus.open()
+        limit = enabled(servo_bus)
+
+        def faults():
+            found = []
+            for _ in range(40):
+                servo_bus.read()
+                servo_bus.write([0.0, 0.0], limit)
+                found += getattr(servo_bus.poll_status(), "faults", ())
+                bus.advance(0.01)
+            return found
+
+        bus.trip(1, "overload")
+        assert not faults()
+        assert bus.servo(1).get("torque_enable") == 1
+        servo_bus.disable()
+        notes = [note for servo in servo_bus.identify() for note in servo.notes]
+        assert ("it was overloaded after its last reboot, and kept its torque" in notes) == (
+            kind in {"xm", "xl430"}
+        )
+        enabled(servo_bus)
+        assert servo_bus.enabled.all()
+        bus.servo(1).temperature = 100.0
+        assert any("joint0: too hot" in text for text in faults())
+
+
 def test_protocol_1_has_no_reboot(emulated):
     refusal = pytest.raises(ServoError, match="MX-64 has no reboot")
     with emulated("mx", 1, clock="steps") as (_, servo_bus), refusal:

@@ -78,6 +78,8 @@ class Device:
         voltage, temperature: Supply voltage [V] and temperature [°C] as last read.
         conditions: Errors in the status of the last reply.
         hardware: Errors in the hardware error register (Protocol 2.0).
+        harmless: Error bits of conditions that leave the torque on: an overload, unless the
+            register Shutdown enables protection from it.
         other_faults: Texts of faults that this program detected, not the servo itself, by topic.
         watchdog: Bus watchdog as last read [units of 20 ms].
         tripped: True if the bus watchdog has tripped, so that the servo rejects goals.
@@ -113,6 +115,8 @@ class Device:
         self.temperature: float | None = None
         self.conditions: tuple[str, ...] = ()
         self.hardware: tuple[str, ...] = ()
+        self.harmless = 0
+        self.has_harmless_error = False
         self.other_faults: dict[str, str] = {}
         self.initial_values: dict[str, int] = {}
         self.stored_command: tuple[int, int] | None = None
@@ -312,9 +316,14 @@ class Device:
 
         `status_byte` is the status of the reply.
         """
+        if "hardware_error" in values:
+            self.note_hardware_error(values["hardware_error"])
         if status_byte or self.conditions:
-            previous, self.conditions = self.conditions, status.conditions(self.family, status_byte)
-            self.alerts += bool(set(self.conditions) - set(previous))
+            # With Protocol 2.0, the status only says that a bit of the error register is set.
+            ignored = status.ALERT if self.has_harmless_error else self.harmless
+            conditions = status.conditions(self.family, status_byte & ~ignored)
+            self.alerts += bool(set(conditions) - set(self.conditions))
+            self.conditions = conditions
         if "voltage" in values:
             self.set_voltage(values["voltage"] / 10.0, time)
         if "temperature" in values:
@@ -332,13 +341,16 @@ class Device:
                 # Send no more goals: on some servos a goal switches torque on, and the joint may
                 # have moved far.
                 self.enabled = False
-        if "hardware_error" in values:
-            self.hardware = status.hardware(values["hardware_error"])
         if "watchdog" in values:
             self.watchdog = values["watchdog"]
             tripped = self.watchdog == TRIPPED
             self.trips += tripped and not self.tripped
             self.tripped = tripped
+
+    def note_hardware_error(self, value: int) -> None:
+        """Store the value of the hardware error register (Protocol 2.0)."""
+        self.hardware = status.hardware(value & ~self.harmless)
+        self.has_harmless_error = bool(value) and not self.hardware
 
     @property
     def is_refusing(self) -> bool:

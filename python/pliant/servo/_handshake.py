@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from pliant._core import ServoError
-from pliant.servo import _status as status
 from pliant.servo._device import TRIPPED
 from pliant.servo._transactions import RESPONSE_DELAY
 from pliant.servo.eeprom import OVERLOAD_BIT
@@ -348,15 +347,19 @@ def _store_registers(device: Device, image: RegisterImage) -> ServoInfo:
     device.set_range()
     if "overload_torque" in image:
         device.overload = image["overload_torque"] / 100.0
+    shuts_off = family.status == "feetech" or bool(image["shutdown"] & 1 << OVERLOAD_BIT)
+    device.harmless = 0 if shuts_off else 1 << OVERLOAD_BIT
     if "hardware_error" in image:
-        device.hardware = status.hardware(image["hardware_error"])
+        device.note_hardware_error(image["hardware_error"])
     notes = _calibration_notes(device)
     if device.torque_on:
         notes.append(
             "its torque is on already: another program may be using the arm, or has left it up. "
             "Enabling takes it over without switching it off; `pliant servos setup` needs it off"
         )
-    if family.status != "feetech" and image["shutdown"] & 1 << OVERLOAD_BIT:
+    if device.has_harmless_error:
+        notes.append("it was overloaded after its last reboot, and kept its torque")
+    if family.status != "feetech" and shuts_off:
         notes.append(
             "it shuts off on overload, but a compliant arm often pushes at its limit: "
             "`pliant servos setup` offers to clear bit 5 of Shutdown"
