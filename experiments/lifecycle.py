@@ -304,7 +304,7 @@ def lower(
     robot: str = "arm7",
     kp_scale: float = 1.0,
     stiffness_known: bool = True,
-    blind: bool = False,
+    answered: float = 1.0,
 ) -> LowerResult:
     """Enable a simulated arm, lower it, and return the result.
 
@@ -316,7 +316,8 @@ def lower(
         robot: Name of a built-in arm.
         kp_scale: True over assumed stiffness of the servos.
         stiffness_known: True if the arm assumes that its k_p is known within 10 %.
-        blind: True: no position readings arrive during the descent.
+        answered: Share of the control periods of the descent in which readings arrive (0 to 1),
+            drawn at random.
     """
     model = robots.load(robot)
     plant = Plant(
@@ -334,8 +335,10 @@ def lower(
     speeds: list[float] = []
     heights: list[float] = []
     forces: list[float] = [0.0]
+    rng = np.random.default_rng(0)
 
     def look() -> None:
+        drive.silent = set() if rng.random() < answered else set(drive.names)
         twist = plant.ground_truth.frame("tool").twist()
         speeds.append(float(np.linalg.norm(twist[:3])))
         heights.append(float(plant.tool[2, 3]))
@@ -343,7 +346,7 @@ def lower(
 
     arm.enable()
     drive.clock.on_tick = look
-    drive.silent = set(drive.names) if blind else set()
+    drive.silent = set(drive.names) if answered == 0.0 else set()
     begin, high = plant.time, float(plant.tool[2, 3])
     arm.lower()
     seconds, speed, force = plant.time - begin, max(speeds), max(forces)

@@ -118,8 +118,22 @@ def test_positions_that_come_again_are_where_the_descent_goes_on(model, grasp):
 
 @pytest.mark.parametrize("bring", [lower, lower_unknown_load])
 def test_a_blind_descent_is_no_faster(grasp, bring):
-    run = bring(grasp, blind=True)
+    run = bring(grasp, answered=0.0)
     assert run.speed < 0.2
+    assert run.after < 0.1
+
+
+@pytest.mark.parametrize(
+    ("robot", "answered"),
+    [("so101", 0.1), ("koch", 0.05), pytest.param("arm7", 0.1, marks=pytest.mark.full)],
+)
+def test_a_line_that_loses_most_readings_delays_the_end_of_a_descent_only(robot, answered):
+    # Readings after each silence of 0.2 s began the descent anew, without end.
+    (q,) = postures(1, robot=robot, load=0.05, seed=3)
+    run = lower(q, robot=robot, over_table=True, answered=answered)
+    assert run.seconds < 75.0
+    assert run.speed < 0.2
+    assert run.rise < 0.015
     assert run.after < 0.1
 
 

@@ -108,8 +108,12 @@ const BLIND_RAMP_TIME: f64 = 6.0;
 /// Time without a position after which a joint keeps its goal [s]. Once it has passed for all joints, positions of the
 /// model replace the measured ones.
 const MAX_SILENCE: f64 = 0.2;
-/// Duration of a descent after which an arm with measured positions is released where it is [s].
+/// Duration of a descent after which an arm with measured positions is released where it is, if it has stopped [s].
 const MAX_DURATION: f64 = 60.0;
+/// An arm has stopped if no point of it has moved by this distance [m] in this time [s]. On a line that loses most
+/// readings, an arm takes longer than [`MAX_DURATION`], and must not be released on its way.
+const STOPPED_DISTANCE: f64 = 0.02;
+const STOPPED_TIME: f64 = 10.0;
 /// Upper bound on the time between two ticks [s]; a longer time counts as this one.
 const MAX_TICK: f64 = 0.1;
 /// Change of a position above which it is not rounding error [rad].
@@ -252,6 +256,11 @@ pub struct Lowering {
     phase_time: f64,
     /// Time since the start of the descent [s].
     time: f64,
+    /// Time [s] and positions [rad] with which the present ones are compared after [`STOPPED_TIME`], and the result.
+    compared: (f64, JointVec),
+    has_stopped: bool,
+    /// Time since the last tick in which goals or limits were updated, at most [`MAX_TICK`] [s].
+    waited: f64,
     /// Time for which all joints have been unloaded and the arm calm; later, for which it has stood without torque [s].
     rest_time: f64,
     /// Time without progress toward the rest pose; later, time at a standstill [s].
@@ -325,6 +334,9 @@ impl Lowering {
             start_height: points.evaluate(&q).tool_height(&up),
             phase_time: 0.0,
             time: 0.0,
+            compared: (0.0, q),
+            has_stopped: false,
+            waited: 0.0,
             rest_time: 0.0,
             standstill: 0.0,
             nearest: f64::INFINITY,
@@ -397,6 +409,7 @@ impl Lowering {
         }
         self.phase_time += dt;
         self.time += dt;
+        self.waited = (self.waited + dt).min(MAX_TICK);
         let mut speed_limit = [f64::INFINITY; MAX_JOINTS];
         if good.contains(&true) {
             for i in (0..self.n).filter(|i| good[*i]) {
@@ -432,20 +445,25 @@ impl Lowering {
     }
 
     /// Updates goals and torque limits for one tick; a `lost` joint keeps its goal while others have positions.
+    ///
+    /// Goals move for the time `dt` of one tick, also after ticks without positions, or they would jump. What is timed,
+    /// standstills and the ramp of the limits, takes all of the time that has passed.
     fn advance(&mut self, dt: f64, lost: &[bool; MAX_JOINTS], speed_limit: &mut JointVec) {
         let (here, gravity) = (self.points.evaluate(&self.q), self.gravity());
+        let elapsed = std::mem::take(&mut self.waited);
         self.positions.push(self.time, &self.q);
         self.positions.drop_before(self.time - SPEED_WINDOW, 2);
         let measured = here.velocity(&self.joint_velocities());
         let speeds: [f64; MAX_POINTS] = measured.map(|v| norm(&v));
         let fastest = speeds.iter().copied().fold(0.0, f64::max);
+        self.note_motion(&here);
         let before = self.goal;
         self.goals.push(self.time, &before);
         if self.phase == LoweringPhase::Ramp {
-            self.release(dt, fastest, lost);
+            self.release(elapsed, fastest, lost);
         } else {
             let mut u = if self.phase == LoweringPhase::Rest {
-                self.toward_rest(dt)
+                self.toward_rest(elapsed)
             } else {
                 self.downward(dt, &here, &gravity)
             };
@@ -467,7 +485,7 @@ impl Lowering {
                 self.limit_lead(&gravity, &u);
             }
             self.update_limit(dt, &gravity);
-            self.change_phase(dt, &here, &gravity, &idle, fastest);
+            self.change_phase(elapsed, &here, &gravity, &idle, fastest);
         }
         if self.blind {
             self.follow_model(&gravity);
@@ -683,10 +701,21 @@ impl Lowering {
         }
     }
 
-    /// Returns true once the descent has taken its longest time. Never while positions are predicted by the model instead
-    /// of measured, because the real arm may still hang.
+    /// Updates whether the arm has stopped, every [`STOPPED_TIME`].
+    fn note_motion(&mut self, here: &ArmGeometry) {
+        let (since, q) = self.compared;
+        if self.blind || self.time - since < STOPPED_TIME {
+            return;
+        }
+        let motion: JointVec = std::array::from_fn(|i| self.q[i] - q[i]);
+        self.has_stopped = here.velocity(&motion).iter().all(|motion| norm(motion) < STOPPED_DISTANCE);
+        self.compared = (self.time, self.q);
+    }
+
+    /// Returns true if the descent has taken its longest time and the arm has stopped. Never while positions are
+    /// predicted by the model instead of measured, because the real arm may still hang.
     fn is_late(&self) -> bool {
-        self.time > MAX_DURATION && !self.blind
+        self.time > MAX_DURATION && self.has_stopped && !self.blind
     }
 
     /// Reduces leads and torque limits to zero, brakes an arm that slides, and descends again if it falls.
@@ -765,13 +794,14 @@ impl Lowering {
     /// Returns to measured positions; moves the goals to them, because they may be far from those of the model.
     fn resume_measured(&mut self) {
         self.blind = false;
+        self.positions.restart(self.time, &self.q);
+        // While the limits fall, `release` keeps the goals near the positions.
+        if self.phase == LoweringPhase::Ramp {
+            return;
+        }
         let gravity = self.gravity();
         for i in 0..self.n {
             self.goal[i] = self.q[i] + gravity[i] / self.kp[i] + self.unmodelled_lead[i];
-        }
-        self.positions.restart(self.time, &self.q);
-        if self.phase == LoweringPhase::Ramp {
-            self.enter(LoweringPhase::Down);
         }
     }
 }
