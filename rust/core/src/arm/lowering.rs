@@ -109,7 +109,7 @@ const BLIND_RAMP_TIME: f64 = 6.0;
 /// model replace the measured ones.
 const MAX_SILENCE: f64 = 0.2;
 /// Duration of a descent after which an arm with measured positions is released where it is, if it has stopped [s].
-const MAX_DURATION: f64 = 60.0;
+const MAX_DURATION: f64 = 30.0;
 /// An arm has stopped if no point of it has moved by this distance [m] in this time [s]. On a line that loses most
 /// readings, an arm takes longer than [`MAX_DURATION`], and must not be released on its way.
 const STOPPED_DISTANCE: f64 = 0.02;
