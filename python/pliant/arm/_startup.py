@@ -91,7 +91,7 @@ def check_reading_time(io: ArmIO, duration: float, rate: float, *, required: boo
             f"reading all joints takes {duration * 1e3:.0f} ms, at most {longest * 1e3:.0f} ms are "
             f"allowed at {rate:g} Hz: torque stays off. Often the latency timer of the adapter is "
             "16 ms: set it to 1 ms (docs/troubleshooting.md; `pliant servos doctor ARM` reports "
-            f"it), or lower the rate: {0.5 / duration:.2g} Hz"
+            f"it), or set [loop] rate, or that of pliant.connect, to {0.5 / duration:.2g} Hz"
         )
     if duration <= 1.0 / rate:
         return None
