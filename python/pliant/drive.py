@@ -13,53 +13,18 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
+from pliant._core import JointReadings
+
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from pliant._core import Servos
-    from pliant._typing import Array, Mask
+    from pliant._typing import Array
 
+__all__ = ["Clock", "Drive", "JointReadings", "MonotonicClock", "ServoStatus", "State"]
 
 #: Last part of a wait [s] that is a busy loop instead of a `sleep`, because `sleep` returns late.
 SPIN = 8e-5
-
-
-@dataclass(frozen=True, init=False)
-class JointReadings:
-    """One reading of all N joints of a drive, in the order of `Drive.names`.
-
-    Attributes:
-        position: Positions (N,) [rad]; undefined where `ok` is False.
-        ok: Mask (N,) of the positions that were read in this cycle.
-        time: Sample times on the drive's clock [s]: (N,), or one number for all.
-        velocity: Velocities as the servos report them (N,) [rad/s]; None: not reported.
-        load: Torques that the servos estimate from PWM duty or current (N,) [N·m]; None: not
-            reported.
-        current: Motor currents (N,) [A]; None: not reported.
-
-    In `velocity`, `load` and `current`, NaN marks a servo that does not report the value.
-    """
-
-    position: Array
-    ok: Mask
-    time: Array | float
-    velocity: Array | None = None
-    load: Array | None = None
-    current: Array | None = None
-
-    def __init__(  # noqa: PLR0917 -- the attributes
-        self,
-        position: Array,
-        ok: Mask,
-        time: Array | float,
-        velocity: Array | None = None,
-        load: Array | None = None,
-        current: Array | None = None,
-    ) -> None:
-        # The constructor of a frozen dataclass makes a call per attribute.
-        self.__dict__.update(
-            position=position, ok=ok, time=time, velocity=velocity, load=load, current=current
-        )
 
 
 @dataclass(frozen=True, init=False)
@@ -85,7 +50,7 @@ class ServoStatus:
         temperature: float | None = None,
         faults: tuple[str, ...] = (),
     ) -> None:
-        # See `JointReadings`.
+        # The constructor of a frozen dataclass makes a call per attribute.
         self.__dict__.update(name=name, voltage=voltage, temperature=temperature, faults=faults)
 
 

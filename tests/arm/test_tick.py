@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import pliant
-from pliant._core import SUPPORT, CommandLimiter, PositionFilter, torque_margin
+from pliant._core import SUPPORT, CommandLimiter, JointReadings, PositionFilter, torque_margin
 from pliant.arm import Budget
 
 BENCHES = Path(__file__).resolve().parents[2] / "benches"
@@ -46,7 +46,9 @@ def test_limits_equal_their_formula(supply, lead):
     kp, max_torque = rng.uniform(5.0, 20.0, size), rng.uniform(1.0, 3.0, size)
     servos = model.servos
     thermal = Budget(supply=supply).thermal_model(max_torque, np.full(size, 2.0))
-    limiter = CommandLimiter(model, servos, thermal, chain=chain, kp=kp, max_torque=max_torque)
+    limiter = CommandLimiter(
+        model, servos, thermal, chain=chain, extra=("jaw",), kp=kp, max_torque=max_torque
+    )
     heat = np.zeros(size)
     count = 0
     for _ in range(200):
@@ -97,7 +99,7 @@ def test_limits_equal_their_formula(supply, lead):
         torque = np.where(np.isfinite(load), np.abs(load), torque)
         positions, ok = PositionFilter(np.ones(size)), np.ones(size, dtype=bool)
         limiter.update(
-            positions, position, ok, 0.0, None, load, None,
+            positions, JointReadings(position, ok, 0.0, load=load),
             goal=goals, limit=limits, dt=2.0, now=0.0, max_jumps=3, max_heat=1.0,
         )  # fmt: skip
         heat += -np.expm1(-2.0 / 30.0) * ((torque / (0.4 * max_torque)) ** 2 - heat)
@@ -114,7 +116,13 @@ def test_a_reading_updates_filter_and_heat_as_single_calls_do():
     def made():
         thermal = Budget().thermal_model(max_torque, None)
         limiter = CommandLimiter(
-            model, model.servos, thermal, chain=chain, kp=kp, max_torque=max_torque
+            model,
+            model.servos,
+            thermal,
+            chain=chain,
+            extra=("jaw",),
+            kp=kp,
+            max_torque=max_torque,
         )
         return limiter, PositionFilter(np.full(size, 0.5)), thermal
 
@@ -130,21 +138,22 @@ def test_a_reading_updates_filter_and_heat_as_single_calls_do():
         velocity, load, current = (
             None if (cycle + i) % 3 else rng.normal(0.0, 0.1, size) for i in range(3)
         )
-        is_fresh, q, oldest, off_chain, age, *measured, is_suspect = limiter.update(
-            positions, position, ok, time, velocity, load, current,
+        state, is_suspect = limiter.update(
+            positions, JointReadings(position, ok, time, velocity, load, current),
             goal=goal, limit=limit, dt=dt, now=reading_time, max_jumps=2, max_heat=0.9,
         )  # fmt: skip
         is_accepted = expected.update(position, ok, time)
         assert positions.accepted.tolist() == is_accepted.tolist()
-        assert is_fresh == is_accepted[chain].all()
-        freshness.add(is_fresh)
+        assert state["fresh"] == is_accepted[chain].all()
+        freshness.add(state["fresh"])
+        measured = (state[name] for name in ("dq", "load", "current"))
         for result, value in zip(measured, (velocity, load, current), strict=True):
             assert (result is None) == (value is None)
             assert value is None or result.tolist() == value[chain].tolist()
-        np.testing.assert_array_equal(q, expected.position[chain])
-        np.testing.assert_array_equal(age, reading_time - expected.time[chain])
-        assert oldest == expected.time[chain].min()
-        np.testing.assert_array_equal(off_chain, [expected.position[4]])
+        np.testing.assert_array_equal(state["q"], expected.position[chain])
+        np.testing.assert_array_equal(state["age"], reading_time - expected.time[chain])
+        assert state["time"] == expected.time[chain].min()
+        np.testing.assert_equal(state["extra"], {"jaw": expected.position[4]})
         torque = np.minimum(np.abs(np.nan_to_num(kp * (goal - expected.position))), limit)
         torque = torque if load is None else np.abs(load)
         heat += -np.expm1(-dt / 30.0) * ((torque / (0.4 * max_torque)) ** 2 - heat)
@@ -157,7 +166,7 @@ def test_a_reading_updates_filter_and_heat_as_single_calls_do():
     assert (False, True) in suspects or (True, True) in suspects
     with pytest.raises(pliant.ShapeError, match="position has shape"):
         limiter.update(
-            PositionFilter([1.0]), [0.0], np.ones(1, dtype=bool), 0.0, None, None, None,
+            PositionFilter([1.0]), JointReadings(np.zeros(1), np.ones(1, dtype=bool), 0.0),
             goal=goal, limit=limit, dt=0.0, now=0.0, max_jumps=2, max_heat=0.9,
         )  # fmt: skip
     assert n == len(chain)

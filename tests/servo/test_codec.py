@@ -47,16 +47,17 @@ def test_joint_values_are_those_of_the_units(model):
         assert servo.accept(
             reply(servo, float(time), position=position, speed=speed, **{measured: load})
         )
-        *values, ok = servo.codec.joints([0])
+        readings = servo.codec.joints([0])
         if measured == "current":
             torque = units.sign * units.torque(load)
-            assert values[4] == pytest.approx([row.current_unit * abs(load)])
+            assert readings.current == pytest.approx([row.current_unit * abs(load)])
         else:
             torque = units.sign * units.load(load)
         expected = [units.angle(position), time, units.velocity(speed), torque]
-        assert np.ravel(values[:4]) == pytest.approx(expected, rel=1e-12, abs=1e-15)
-        assert ok.tolist() == [True]
-        assert servo.codec.joints([])[5].tolist() == [False]
+        values = (readings.position, readings.time, readings.velocity, readings.load)
+        assert np.ravel(values) == pytest.approx(expected, rel=1e-12, abs=1e-15)
+        assert readings.ok.tolist() == [True]
+        assert servo.codec.joints([]).ok.tolist() == [False]
 
 
 @pytest.mark.parametrize("model", MODELS)

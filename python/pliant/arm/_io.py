@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import math
 import warnings
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,6 +12,7 @@ import numpy as np
 from pliant._core import (
     CommandLimiter,
     ConfigError,
+    JointReadings,
     OutOfRangeError,
     PositionFilter,
     ServoError,
@@ -23,7 +23,7 @@ from pliant._servo_tables import take
 from pliant._validation import format_value, mapping, real
 from pliant.arm._checks import vector
 from pliant.arm.thermal import TOO_HOT, thermal_faults
-from pliant.drive import JointReadings, MonotonicClock, State
+from pliant.drive import MonotonicClock, State
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -232,6 +232,7 @@ class ArmIO:
             self.servos,
             self.thermal,
             chain=self.joints.chain.tolist(),
+            extra=self.joints.extra,
             kp=self._kp,
             max_torque=self._usable,
         )
@@ -245,8 +246,8 @@ class ArmIO:
         # Read-only arrays (N,): states hold views of them, so a change creates a new array.
         self._voltage = self._temperature = _with_entry(np.full(size, np.nan), 0, np.nan)
         self._chain_voltage = self._chain_temperature = self._voltage[self.joints.select]
-        # Last voltage [V] and temperature [°C] by joint name; None: not known.
-        self._supply: dict[str, tuple[float | None, float | None]] = {}
+        # Last status by joint name.
+        self._statuses: dict[str, ServoStatus] = {}
         self._reported: dict[str, tuple[str, ...]] = {}
         # Last reading of all joints.
         self._sample = JointReadings(np.full(size, np.nan), np.zeros(size, dtype=bool), 0.0)
@@ -281,7 +282,10 @@ class ArmIO:
             sample = self.drive.read()
         except ServoTimeoutError:
             # No joint has answered; each keeps its last values.
-            sample = replace(self._sample, ok=np.zeros(len(self.joints.names), dtype=bool))
+            last, unread = self._sample, np.zeros(len(self.joints.names), dtype=bool)
+            sample = JointReadings(
+                last.position, unread, last.time, last.velocity, last.load, last.current
+            )
         finally:
             self._last_access = now = self.clock.now()
         self._sample = sample
@@ -290,14 +294,9 @@ class ArmIO:
             if gap > 0.5 * self._watchdog:
                 self._rearm()
         passed, self._last_update = now - self._last_update, now
-        is_fresh, q, time, off_chain, age, dq, load, current, is_suspect = self._limiter.update(
+        attributes, is_suspect = self._limiter.update(
             self.positions,
-            sample.position,
-            sample.ok,
-            sample.time,
-            sample.velocity,
-            sample.load,
-            sample.current,
+            sample,
             goal=self._goals,
             limit=self._limits,
             dt=passed if self._is_sent else 0.0,
@@ -305,21 +304,12 @@ class ArmIO:
             max_jumps=MAX_JUMPS,
             max_heat=TOO_HOT,
         )
+        attributes["voltage"] = self._chain_voltage
+        attributes["temperature"] = self._chain_temperature
+        attributes["faults"] = self.faults() if is_suspect or self._reported else ()
         # The constructor of a frozen dataclass makes a call per attribute.
         state = object.__new__(State)
-        state.__dict__.update(
-            q=q,
-            dq=dq,
-            time=time,
-            fresh=is_fresh,
-            extra=dict(zip(self.joints.extra, off_chain, strict=True)),
-            age=age,
-            load=load,
-            current=current,
-            voltage=self._chain_voltage,
-            temperature=self._chain_temperature,
-            faults=self.faults() if is_suspect or self._reported else (),
-        )
+        object.__setattr__(state, "__dict__", attributes)
         return state
 
     def faults(self) -> tuple[str, ...]:
@@ -575,7 +565,9 @@ class ArmIO:
         self._goals, self._limits, self._is_sent = goals, limits, True
         self.drive.write(goals, limits, speeds)
         self._last_access = self.clock.now()
-        self._update_status(self.drive.poll_status())
+        status = self.drive.poll_status()
+        if status is not None and status is not self._statuses.get(status.name):
+            self._update_status(status)
 
     def _in_drive_order(self, goal: Array, limit: Array) -> tuple[Array, Array]:
         """Extend goals and limits of the chain (n,) to all joints (N,), with values of `orders`.
@@ -589,13 +581,12 @@ class ArmIO:
         goals = self.joints.join(goal, np.array([order[0] for order in orders]))
         return goals, self.joints.join(limit, max_lead)
 
-    def _update_status(self, status: ServoStatus | None) -> None:
-        """Store voltage, temperature and faults of the servo in `status`; None: do nothing."""
-        if status is None:
-            return
-        name, supply = status.name, (status.voltage, status.temperature)
-        if supply != self._supply.get(name):
-            self._supply[name] = supply
+    def _update_status(self, status: ServoStatus) -> None:
+        """Store voltage, temperature and faults of the servo in `status`."""
+        name, last = status.name, self._statuses.get(status.name)
+        self._statuses[name] = status
+        supply = (status.voltage, status.temperature)
+        if last is None or supply != (last.voltage, last.temperature):
             self._store_supply(self.joints.index(name), *supply)
         if status.faults:
             self._reported[name] = status.faults

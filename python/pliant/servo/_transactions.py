@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
-from math import isinf
+from math import inf, isinf
 from typing import TYPE_CHECKING, Literal, NamedTuple, ParamSpec, TypeVar
 
 from pliant._core import ConfigError
@@ -26,10 +26,10 @@ from pliant.servo.transport import BusError
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
-    from pliant._core import ServoCodec
+    from pliant._core import JointReadings, ServoGroup
     from pliant.servo.models.base import Protocol
     from pliant.servo.models.base import Protocol as Wire
-    from pliant.servo.transport import Command, Decoder, Transport
+    from pliant.servo.transport import Command, Transport
 
 
 BITS_PER_BYTE = 10
@@ -268,6 +268,22 @@ class Reply(NamedTuple):
     time: float
 
 
+class GroupReplies(NamedTuple):
+    """Replies of several servos to one request, whose readings the core has decoded.
+
+    Attributes:
+        block: Block of registers that was read.
+        answers: Bytes of the block, and error byte, of each servo.
+        notable: Readings that need attention, see `ServoCodec.decode`.
+        time: Time of the request [s].
+    """
+
+    block: Block
+    answers: list[tuple[bytes, int]]
+    notable: list[tuple[int, bool | None]]
+    time: float
+
+
 class TransactionGuard:
     """Requests on one port, with timeouts, retries, counters and rejection of late replies.
 
@@ -367,24 +383,32 @@ class TransactionGuard:
         Raises:
             BusError: At least one reply is missing or corrupt.
         """
-        block, answers, _, start = self.sync_decode(ids, blocks, None)
-        assert answers is not None, "only a decoder leaves them out"
-        return block, answers, start
+        found = self.sync_decode(ids, blocks, None)
+        assert isinstance(found, GroupReplies), "only a decoder leaves the bytes out"
+        return found.block, found.answers, found.time
 
     def sync_decode(
-        self, ids: Sequence[int], blocks: Sequence[Block], decoder: Decoder | None
-    ) -> tuple[Block, list[tuple[bytes, int]] | None, list[tuple[int, bool | None]], float]:
-        """Make a `sync_read`, and let the transport store the readings.
+        self,
+        ids: Sequence[int],
+        blocks: Sequence[Block],
+        decoder: ServoGroup | None,
+        longest: float = inf,
+        *,
+        usual: bool = False,
+    ) -> GroupReplies | JointReadings | None:
+        """Make a `sync_read`, and let the core store the readings.
 
         Args:
             ids: Ids of the servos.
             blocks: Alternative blocks of different lengths, see `read`.
-            decoder: Where to store the readings; None: nowhere.
+            decoder: These servos, where the readings are stored; None: nowhere.
+            longest: Age of the last reading above which a reading is not stored [s].
+            usual: True: replies with the first of `blocks` need no look, if the core finds nothing
+                that needs attention, see `ServoGroup.read`.
 
         Returns:
-            Block that was read; bytes and error byte of each servo, None if the decoder needs no
-            look at them; readings that need attention, see `ServoCodec.decode`; time of the request
-            [s].
+            The replies; if they need no look, the readings of all joints, or None if there are
+            other servos.
 
         Raises:
             BusError: At least one reply is missing or corrupt; nothing is stored.
@@ -397,18 +421,28 @@ class TransactionGuard:
             block = blocks[0] if is_clear else self._choose(ids, blocks)
             start = self._prepare("sync_read", len(ids), block.size)
             started = self._clock()
-            answers: list[tuple[bytes, int]] | None
-            notable: list[tuple[int, bool | None]] = []
             try:
+                answers: list[tuple[bytes, int]]
+                notable: list[tuple[int, bool | None]] = []
                 if decoder is None:
                     answers = self._io.sync_read(ids, block.address, block.size)
                 else:
-                    found = self._io.sync_decode(ids, block, decoder, start)  # type: ignore[attr-defined]
-                    answers, notable = (None, notable) if found is None else found
-                if answers is not None:
-                    for id, (data, status) in zip(ids, answers, strict=True):
-                        if len(data) != block.size:
-                            raise _mismatch(id, block, data, status)
+                    is_usual = usual and block is blocks[0]
+                    try:
+                        found = decoder.read(block, self._timeout, start, longest, is_usual)
+                    except OSError as error:
+                        raise self._io.lost(error) from error  # type: ignore[attr-defined]
+                    if not isinstance(found, tuple):
+                        if not is_clear:
+                            self._pending.mark_superseded(ids)
+                        return found
+                    received, notable = found
+                    if isinstance(received, bytes):
+                        received = self._io.broken(received, ids, block.size)  # type: ignore[attr-defined]
+                    answers = received
+                for id, (data, status) in zip(ids, answers, strict=True):
+                    if len(data) != block.size:
+                        raise _mismatch(id, block, data, status)
             except BusError:
                 self._pending.add(ids, block.size, started)
                 raise
@@ -417,7 +451,7 @@ class TransactionGuard:
             raise
         if not is_clear:
             self._pending.mark_superseded(ids)
-        return block, answers, notable, start
+        return GroupReplies(block, answers, notable, start)
 
     def write(self, id: int, address: int, data: bytes) -> int:
         """Write bytes to one servo, with retries; return the error byte of the reply."""
@@ -440,14 +474,15 @@ class TransactionGuard:
             raise
 
     def sync_encode(
-        self,
-        ids: Sequence[int],
-        blocks: Sequence[Block],
-        codec: ServoCodec,
-        servos: Sequence[int],
-        command: Command,
+        self, encoder: ServoGroup, size: int, blocks: Sequence[Block], command: Command
     ) -> None:
-        """Let the transport encode and send a command; see `RustypotTransport.sync_encode`.
+        """Let the core encode a command, and send it with one packet per block, without reply.
+
+        Args:
+            encoder: The servos.
+            size: Their number.
+            blocks: Block of each packet.
+            command: Command for all joints.
 
         Raises:
             ShapeError, OutOfRangeError: The command is invalid; nothing was sent.
@@ -456,12 +491,13 @@ class TransactionGuard:
         if self.is_gone:
             self.check_port()
         for block in blocks:
-            self._prepare("sync_write", len(ids), block.size)
+            self._prepare("sync_write", size, block.size)
         try:
-            self._io.sync_encode(ids, blocks, codec, servos, command)  # type: ignore[attr-defined]
-        except BusError as error:
-            self._note_failure(error)
-            raise
+            encoder.write(blocks, self._timeout, *command)
+        except OSError as error:
+            failure: BusError = self._io.lost(error)  # type: ignore[attr-defined]
+            self._note_failure(failure)
+            raise failure from error
 
     def ping(self, id: int) -> bool:
         """Return True if a servo answers one ping."""

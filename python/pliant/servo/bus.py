@@ -10,10 +10,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pliant._core import ConfigError, OutOfRangeError, ServoCodec, ServoError, ShapeError
-from pliant.drive import Clock, JointReadings, ServoStatus
+from pliant._core import (
+    ConfigError,
+    JointReadings,
+    OutOfRangeError,
+    ServoCodec,
+    ServoError,
+    ShapeError,
+)
+from pliant.drive import Clock, ServoStatus
 from pliant.servo import _enable as sequences
-from pliant.servo._device import Device
+from pliant.servo._device import Changes, Device
 from pliant.servo._handshake import ServoInfo, identify
 from pliant.servo._port import Port, StatusPoller
 from pliant.servo._transactions import check_reply_timeout
@@ -402,18 +409,19 @@ class ServoBus:
         """
         if not self._ports:
             self._check_open()
+        found: JointReadings | list[int]
         if self._pool is None:
-            accepted = self._ports[0].read(self._budget)
+            found = self._ports[0].read(self._budget)
         else:
-            readings = self._pool.map(lambda port: port.read(self._budget), self._ports)
-            accepted = [i for found in readings for i in found]
+            accepted = self._pool.map(lambda port: port.read(self._budget), self._ports)
+            # A port has readings of all joints only if it is the only one.
+            found = [i for of_port in accepted if isinstance(of_port, list) for i in of_port]
         for port in self._ports:
             if port.guard.is_gone:
                 self._report_lost_ports()
-        position, times, velocity, load, current, ok = self._codec.joints(accepted)
         for joint in self._doubled:
             check_agreement(joint)
-        return JointReadings(position, ok, times, velocity, load, current)
+        return found if isinstance(found, JointReadings) else self._codec.joints(found)
 
     def write(self, goal: ArrayLike, limit: ArrayLike, velocity: ArrayLike | None = None) -> None:
         """Send goal and limit of all enabled joints, in one packet per port and kind of servo.
@@ -553,8 +561,9 @@ class ServoBus:
     def _reset(self) -> None:
         """Create new devices, counters and status poller; discard all state read from servos."""
         #: Servos of each joint, the primary servo first.
+        changes = Changes()
         self._joints = [
-            [Device(spec, i, number, sign) for number, sign in spec.servos]
+            [Device(spec, i, number, sign, changes) for number, sign in spec.servos]
             for i, spec in enumerate(self.specs)
         ]
         self._devices = [device for joint in self._joints for device in joint]

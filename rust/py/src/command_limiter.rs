@@ -2,10 +2,13 @@
 
 use pliant_core::arm::LimiterInput;
 use pliant_core::{CommandLimiter as CoreLimiter, MAX_JOINTS};
+use pyo3::intern;
 use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyTuple};
 
 use crate::arguments;
 use crate::error::{OrRaise, shape, tuple};
+use crate::joint_readings::{Arrays, JointReadings, Values};
 use crate::model::Model;
 use crate::ndarray::new_array;
 use crate::position_filter::PositionFilter;
@@ -16,19 +19,8 @@ use crate::thermal::ThermalModel;
 type Object<'py> = Bound<'py, PyAny>;
 /// Goals, torque limits and largest speeds of all joints (N,); gravity torques (n,).
 type Limited<'py> = (Object<'py>, Object<'py>, Option<Object<'py>>, Option<Object<'py>>);
-/// True if all positions are new; positions (n,); oldest time; positions off the chain; ages (n,); velocities, torques
-/// and currents (n,); true for faults.
-type Updated<'py> = (
-    bool,
-    Object<'py>,
-    f64,
-    Vec<f64>,
-    Object<'py>,
-    Option<Object<'py>>,
-    Option<Object<'py>>,
-    Option<Object<'py>>,
-    bool,
-);
+/// Attributes of a state by name; true for faults.
+type Updated<'py> = (Bound<'py, PyDict>, bool);
 
 #[doc = stub!(CommandLimiter)]
 #[pyclass(module = "pliant._core")]
@@ -37,6 +29,8 @@ pub(crate) struct CommandLimiter {
     core: CoreLimiter,
     model: Py<Model>,
     thermal: Py<ThermalModel>,
+    /// Names of the joints off the chain.
+    extra: Py<PyTuple>,
     goal: Vec<f64>,
     limit: Vec<f64>,
     load: Vec<f64>,
@@ -45,13 +39,14 @@ pub(crate) struct CommandLimiter {
 #[pymethods]
 impl CommandLimiter {
     #[new]
-    #[pyo3(signature = (model, servos, thermal, *, chain, kp, max_torque))]
+    #[pyo3(signature = (model, servos, thermal, *, chain, extra, kp, max_torque))]
     #[expect(clippy::needless_pass_by_value, reason = "PyO3 passes extracted arguments by value")]
     fn new(
         model: &Bound<'_, PyAny>,
         servos: &Bound<'_, PyAny>,
         thermal: Py<ThermalModel>,
         chain: Vec<usize>,
+        extra: Py<PyTuple>,
         kp: &Bound<'_, PyAny>,
         max_torque: &Bound<'_, PyAny>,
     ) -> PyResult<Self> {
@@ -59,7 +54,7 @@ impl CommandLimiter {
         let (kp, max_torque) = (vector("kp", kp)?, vector("max_torque", max_torque)?);
         let core = CoreLimiter::new(&model.get().core, &servos.get().0, &chain, &kp, &max_torque).or_raise()?;
         let zeros = || vec![0.0; kp.len()];
-        Ok(Self { core, model, thermal, goal: zeros(), limit: zeros(), load: zeros() })
+        Ok(Self { core, model, thermal, extra, goal: zeros(), limit: zeros(), load: zeros() })
     }
 
     #[doc = stub!(CommandLimiter.unreachable)]
@@ -119,17 +114,12 @@ impl CommandLimiter {
     }
 
     #[doc = stub!(CommandLimiter.update)]
-    #[pyo3(signature = (positions, position, ok, time, velocity, load, current, *, goal, limit, dt, now, max_jumps, max_heat))]
+    #[pyo3(signature = (positions, readings, *, goal, limit, dt, now, max_jumps, max_heat))]
     #[expect(clippy::too_many_arguments, reason = "a reading and the command in force")]
     fn update<'py>(
         &mut self,
         positions: &Bound<'py, PositionFilter>,
-        position: &Bound<'py, PyAny>,
-        ok: &Bound<'py, PyAny>,
-        time: &Bound<'py, PyAny>,
-        velocity: Option<&Bound<'py, PyAny>>,
-        load: Option<&Bound<'py, PyAny>>,
-        current: Option<&Bound<'py, PyAny>>,
+        readings: &Bound<'py, JointReadings>,
         goal: &Bound<'py, PyAny>,
         limit: &Bound<'py, PyAny>,
         dt: f64,
@@ -139,24 +129,38 @@ impl CommandLimiter {
     ) -> PyResult<Updated<'py>> {
         let (py, shape_of_all) = (positions.py(), [self.core.size()]);
         let mut filter = positions.try_borrow_mut()?;
-        let accepted = filter.store(position, ok, time)?.len();
+        let readings = readings.get();
+        let accepted = filter.store_readings(py, readings)?.len();
         if accepted != self.core.size() {
             return Err(shape("position", &[accepted], tuple(&shape_of_all)));
         }
         array_into("goal", goal, &shape_of_all, &mut self.goal)?;
         array_into("limit", limit, &shape_of_all, &mut self.limit)?;
         let mut measured = [None, None, None];
-        let names = [("velocity", velocity), ("current", current), ("load", load)];
         // The load comes last: it stays in the buffer for the heat.
-        for (slot, (name, value)) in measured.iter_mut().zip(names) {
-            if let Some(value) = value {
-                array_into(name, value, &shape_of_all, &mut self.load)?;
-                *slot = Some(self.of_chain(py, &self.load));
+        let heating = match &readings.values {
+            Values::Servos(rows, _) => {
+                for (slot, column) in measured.iter_mut().zip([2, 4, 3]) {
+                    for (value, row) in self.load.iter_mut().zip(rows) {
+                        *value = row[column];
+                    }
+                    *slot = Some(self.of_chain(py, &self.load));
+                }
+                Some(&self.load[..])
             }
-        }
+            Values::Arrays(Arrays { velocity, load, current, .. }) => {
+                let names = [("velocity", velocity), ("current", current), ("load", load)];
+                for (slot, (name, value)) in measured.iter_mut().zip(names) {
+                    if let Some(value) = value {
+                        array_into(name, value.bind(py), &shape_of_all, &mut self.load)?;
+                        *slot = Some(self.of_chain(py, &self.load));
+                    }
+                }
+                load.as_ref().map(|_| &self.load[..])
+            }
+        };
         let filter = &filter.core;
         let mut thermal = self.thermal.bind(py).try_borrow_mut()?;
-        let heating = load.map(|_| &self.load[..]);
         self.core
             .update_heat(&mut thermal.core, [&self.goal, &self.limit], filter.position(), heating, dt)
             .or_raise()?;
@@ -169,17 +173,20 @@ impl CommandLimiter {
         }
         let has_jumped = filter.rejected().iter().any(|rejected| *rejected >= max_jumps);
         let [velocity, current, load] = measured;
-        Ok((
-            is_fresh,
-            self.of_chain(py, filter.position()),
-            oldest,
-            self.core.off_chain().iter().map(|joint| filter.position()[*joint]).collect(),
-            new_array(py, &[chain.len()], &age[..chain.len()]),
-            velocity,
-            load,
-            current,
-            has_jumped || thermal.core.is_too_hot(max_heat),
-        ))
+        let extra = PyDict::new(py);
+        for (name, joint) in self.extra.bind(py).iter().zip(self.core.off_chain()) {
+            extra.set_item(name, filter.position()[*joint])?;
+        }
+        let state = PyDict::new(py);
+        state.set_item(intern!(py, "q"), self.of_chain(py, filter.position()))?;
+        state.set_item(intern!(py, "dq"), velocity)?;
+        state.set_item(intern!(py, "time"), oldest)?;
+        state.set_item(intern!(py, "fresh"), is_fresh)?;
+        state.set_item(intern!(py, "extra"), extra)?;
+        state.set_item(intern!(py, "age"), new_array(py, &[chain.len()], &age[..chain.len()]))?;
+        state.set_item(intern!(py, "load"), load)?;
+        state.set_item(intern!(py, "current"), current)?;
+        Ok((state, has_jumped || thermal.core.is_too_hot(max_heat)))
     }
 }
 

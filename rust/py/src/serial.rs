@@ -3,6 +3,7 @@
 
 use std::num::TryFromIntError;
 use std::os::fd::BorrowedFd;
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use pyo3::exceptions::{PyOSError, PyValueError};
@@ -55,54 +56,88 @@ impl Replies {
     }
 }
 
-#[doc = stub!(exchange)]
-#[pyfunction]
-#[expect(clippy::needless_pass_by_value, reason = "PyO3 passes extracted arguments by value")]
-pub(crate) fn exchange<'py>(
-    py: Python<'py>,
-    descriptor: i32,
-    instruction: u8,
-    ids: Vec<usize>,
-    block: [usize; 2],
-    data: Option<Vec<Bound<'py, PyBytes>>>,
-    timeout: f64,
-) -> PyResult<Bound<'py, PyAny>> {
-    let Some(rows) = data else {
-        return read_registers(py, descriptor, instruction, &ids, block, timeout)?.to_python(py);
-    };
-    if rows.iter().any(|row| row.as_bytes().len() != block[1]) {
-        return Err(wrong_size());
+#[doc = stub!(SerialPort)]
+#[pyclass(module = "pliant._core", frozen)]
+#[derive(Debug)]
+pub(crate) struct SerialPort {
+    /// Descriptor of the port; `None` after `close`. Locked, because the number of a closed descriptor may be reused
+    /// while a thread uses it.
+    descriptor: Mutex<Option<i32>>,
+}
+
+#[pymethods]
+impl SerialPort {
+    #[new]
+    fn new(descriptor: i32) -> Self {
+        Self { descriptor: Mutex::new(Some(descriptor)) }
     }
-    let data: Vec<u8> = rows.iter().flat_map(PyBytesMethods::as_bytes).copied().collect();
-    write_registers(py, descriptor, &ids, block, &data, timeout)?;
-    Ok(PyList::empty(py).into_any())
+
+    #[doc = stub!(SerialPort.exchange)]
+    #[expect(clippy::needless_pass_by_value, reason = "PyO3 passes extracted arguments by value")]
+    fn exchange<'py>(
+        &self,
+        py: Python<'py>,
+        instruction: u8,
+        ids: Vec<u8>,
+        block: [usize; 2],
+        data: Option<Vec<Bound<'py, PyBytes>>>,
+        timeout: f64,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let Some(rows) = data else {
+            return read_registers(py, self, instruction, &ids, block, timeout)?.to_python(py);
+        };
+        if rows.iter().any(|row| row.as_bytes().len() != block[1]) {
+            return Err(wrong_size());
+        }
+        let data: Vec<u8> = rows.iter().flat_map(PyBytesMethods::as_bytes).copied().collect();
+        write_registers(py, self, &ids, block, &data, timeout)?;
+        Ok(PyList::empty(py).into_any())
+    }
+
+    #[doc = stub!(SerialPort.close)]
+    fn close(&self, py: Python<'_>) {
+        py.detach(|| *self.lock() = None);
+    }
+
+    #[doc = stub!(SerialPort.closed)]
+    #[getter]
+    fn closed(&self, py: Python<'_>) -> bool {
+        py.detach(|| self.lock().is_none())
+    }
+}
+
+impl SerialPort {
+    /// Locks the port. The interpreter lock must be released, because a thread that holds this lock may wait for it.
+    fn lock(&self) -> MutexGuard<'_, Option<i32>> {
+        self.descriptor.lock().unwrap_or_else(PoisonError::into_inner)
+    }
 }
 
 /// Requests the registers `block` (address, size) of the servos `ids`, and returns the replies. Releases the
 /// interpreter lock.
 pub(crate) fn read_registers(
     py: Python<'_>,
-    descriptor: i32,
+    port: &SerialPort,
     instruction: u8,
-    ids: &[usize],
+    ids: &[u8],
     block: [usize; 2],
     timeout: f64,
 ) -> PyResult<Replies> {
-    let (ids, block) = (bytes(ids)?, bytes(&block)?);
+    let block = bytes(block)?;
     let id = if instruction == READ { ids.first().copied().unwrap_or(BROADCAST) } else { BROADCAST };
     let mut request = vec![0xff, 0xff, id, 0, instruction, block[0], block[1]];
     if instruction == SYNC_READ {
-        request.extend_from_slice(&ids);
+        request.extend_from_slice(ids);
     }
-    send_request(py, descriptor, request, &ids, block[1], timeout)
+    send_request(py, port, request, ids, block[1], timeout)
 }
 
 /// Writes the registers `block` (address, size) of the servos `ids` with one packet, which has no reply. `data` has the
 /// bytes of one servo after the other. Releases the interpreter lock.
 pub(crate) fn write_registers(
     py: Python<'_>,
-    descriptor: i32,
-    ids: &[usize],
+    port: &SerialPort,
+    ids: &[u8],
     block: [usize; 2],
     data: &[u8],
     timeout: f64,
@@ -110,22 +145,22 @@ pub(crate) fn write_registers(
     if data.len() != ids.len() * block[1] {
         return Err(wrong_size());
     }
-    let (ids, header) = (bytes(ids)?, bytes(&block)?);
+    let header = bytes(block)?;
     let mut request = vec![0xff, 0xff, BROADCAST, 0, SYNC_WRITE, header[0], header[1]];
     for (id, row) in ids.iter().zip(data.chunks(block[1].max(1))) {
         request.push(*id);
         request.extend_from_slice(row);
     }
-    send_request(py, descriptor, request, &[], header[1], timeout).map(|_| ())
+    send_request(py, port, request, &[], header[1], timeout).map(|_| ())
 }
 
 fn wrong_size() -> PyErr {
     PyValueError::new_err("data has one row of the size of the block for each id")
 }
 
-/// Returns the numbers as bytes.
-fn bytes(numbers: &[usize]) -> PyResult<Vec<u8>> {
-    numbers.iter().map(|number| u8::try_from(*number)).collect::<Result<_, _>>().map_err(too_large)
+/// Returns address and size of a block as bytes.
+fn bytes([address, size]: [usize; 2]) -> PyResult<[u8; 2]> {
+    Ok([u8::try_from(address).map_err(too_large)?, u8::try_from(size).map_err(too_large)?])
 }
 
 fn too_large(_: TryFromIntError) -> PyErr {
@@ -136,7 +171,7 @@ fn too_large(_: TryFromIntError) -> PyErr {
 /// of the servos `ids` with `size` data bytes each.
 fn send_request(
     py: Python<'_>,
-    descriptor: i32,
+    port: &SerialPort,
     mut request: Vec<u8>,
     ids: &[u8],
     size: u8,
@@ -148,12 +183,11 @@ fn send_request(
     let packet_len = OVERHEAD + usize::from(size);
     let mut bytes = vec![0; ids.len() * packet_len];
     let result = py.detach(|| {
-        if descriptor < 0 {
-            return Err(Errno::BADF);
-        }
+        let descriptor = port.lock();
+        let number = descriptor.filter(|number| *number >= 0).ok_or(Errno::BADF)?;
         // SAFETY: the descriptor is not -1, and is used during this call only. A descriptor that Python closes
         // meanwhile makes the calls fail, or reach another file of the program, but breaks no memory.
-        let port = unsafe { BorrowedFd::borrow_raw(descriptor) };
+        let port = unsafe { BorrowedFd::borrow_raw(number) };
         write_and_read(port, &request, ids, &mut bytes, timeout)
     });
     let (received, is_wrong) = result.map_err(|errno| PyOSError::new_err((errno.raw_os_error(), "serial port")))?;
