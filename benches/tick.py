@@ -264,8 +264,7 @@ class Rig:
             elif tick.index == WARM + BLOCK:
                 end()
                 break
-        self.lateness.counts += loop.lateness.counts
-        self.lateness.largest = max(self.lateness.largest, loop.lateness.largest)
+        self.lateness.add_all(loop.lateness)
         turns.close()  # type: ignore[attr-defined]
 
     def measure(self, sums: Sum, *, recorder: Any = None) -> None:
@@ -737,8 +736,7 @@ def lateness(seconds: float, *, load: int) -> str:
                 for tick in loop:
                     tick.step(rig.target)
                 end()
-                found[name].counts += loop.lateness.counts
-                found[name].largest = max(found[name].largest, loop.lateness.largest)
+                found[name].add_all(loop.lateness)
     finally:
         for process in busy:
             process.kill()

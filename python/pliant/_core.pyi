@@ -55,6 +55,7 @@ __all__ = [
     "Servos",
     "Settings",
     "ShapeError",
+    "State",
     "Task",
     "ThermalModel",
     "TorqueLimits",
@@ -2904,6 +2905,66 @@ if sys.platform != "win32":
             """
 
 @final
+class State:
+    """State of an arm in one control cycle; the n joints are those of the chain, base to tip.
+
+    `dq`, `load` and `current` are None if the servos do not report them.
+
+    Args:
+        q: Joint positions (n,) [rad]; a joint without a new reading keeps its last position.
+        dq: Joint velocities as the servos report them (n,) [rad/s].
+        time: Sample time of the oldest of the positions, on the arm's clock [s].
+        fresh: True if the positions of all joints were read in this cycle.
+        extra: Positions by name of the joints outside the chain, such as a gripper [rad]; None:
+            there are none.
+        age: Time since each position was sampled (n,) [s]; None: 0.
+        load: Torque as each servo estimates it (n,) [N m].
+        current: Current of each servo (n,) [A].
+        voltage: Supply voltage at each servo (n,) [V]; NaN before the first reading.
+        temperature: Temperature of each servo (n,) [deg C]; NaN before the first reading.
+        faults: Present faults, one sentence each; empty if healthy.
+    """
+
+    def __new__(
+        cls,
+        q: _Array,
+        dq: _Array | None = None,
+        time: float = 0.0,
+        fresh: bool = True,
+        extra: Mapping[str, float] | None = None,
+        age: _Array | None = None,
+        load: _Array | None = None,
+        current: _Array | None = None,
+        voltage: _Array | None = None,
+        temperature: _Array | None = None,
+        faults: tuple[str, ...] | None = None,
+    ) -> State: ...
+    @property
+    def q(self) -> _Array: ...
+    @property
+    def dq(self) -> _Array | None: ...
+    @property
+    def time(self) -> float: ...
+    @property
+    def fresh(self) -> bool: ...
+    @property
+    def extra(self) -> Mapping[str, float]: ...
+    @property
+    def age(self) -> _Array: ...
+    @property
+    def load(self) -> _Array | None: ...
+    @property
+    def current(self) -> _Array | None: ...
+    @property
+    def voltage(self) -> _Array | None: ...
+    @property
+    def temperature(self) -> _Array | None: ...
+    @property
+    def faults(self) -> tuple[str, ...]: ...
+    def replace(self, **changes: Any) -> State:
+        """Return a state with these attributes changed."""
+
+@final
 class JointReadings:
     """One reading of all N joints of a drive, in the order of `Drive.names`.
 
@@ -3378,7 +3439,9 @@ class CommandLimiter:
         now: float,
         max_jumps: int,
         max_heat: float,
-    ) -> tuple[dict[str, Any], bool]:
+        voltage: _Array | None = None,
+        temperature: _Array | None = None,
+    ) -> tuple[State, bool]:
         """Filter the positions of a reading, and update the heat with the torques since the last.
 
         Args:
@@ -3391,11 +3454,12 @@ class CommandLimiter:
             now: Present time [s].
             max_jumps: Number of implausible positions in a row from which on a joint is faulty.
             max_heat: Heat above which a servo is too hot.
+            voltage: Supply voltages of the state.
+            temperature: Temperatures of the state.
 
         Returns:
-            Attributes of a `pliant.drive.State` by name: q, dq, time, fresh, extra, age, load and
-            current, with the last plausible positions; True if a joint is faulty or a servo is too
-            hot.
+            The state with the last plausible positions, without faults; True if a joint is faulty
+            or a servo is too hot. Its arrays are reused if nothing refers to them any more.
 
         Raises:
             ShapeError: An array has another shape.

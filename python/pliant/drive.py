@@ -8,12 +8,10 @@ handles the servo bus; it knows nothing of kinematics, gravity or control.
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
-import numpy as np
-
-from pliant._core import JointReadings
+from pliant._core import JointReadings, State
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -168,41 +166,3 @@ class MonotonicClock:
             time.sleep(rest)
         while time.perf_counter() < deadline:
             pass
-
-
-@dataclass(frozen=True)
-class State:
-    """State of an arm in one control cycle; the n joints are those of the chain, base to tip.
-
-    `dq`, `load` and `current` are None if the servos do not report them.
-
-    Attributes:
-        q: Joint positions (n,) [rad]; a joint without a new reading keeps its last position.
-        dq: Joint velocities as the servos report them (n,) [rad/s].
-        time: Sample time of the oldest of the positions, on the arm's clock [s].
-        fresh: True if the positions of all joints were read in this cycle.
-        extra: Positions by name of the joints outside the chain, such as a gripper [rad].
-        age: Time since each position was sampled (n,) [s].
-        load: Torque as each servo estimates it (n,) [N·m].
-        current: Current of each servo (n,) [A].
-        voltage: Supply voltage at each servo (n,) [V]; NaN before the first reading.
-        temperature: Temperature of each servo (n,) [°C]; NaN before the first reading.
-        faults: Present faults, one sentence each; empty if healthy.
-    """
-
-    q: Array
-    dq: Array | None = None
-    time: float = 0.0
-    fresh: bool = True
-    extra: Mapping[str, float] = field(default_factory=dict)
-    age: Array = field(default_factory=lambda: np.zeros(0))
-    load: Array | None = None
-    current: Array | None = None
-    voltage: Array | None = None
-    temperature: Array | None = None
-    faults: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        """Set `age` to 0 for all joints if it is not given."""
-        if self.age.shape != self.q.shape:
-            object.__setattr__(self, "age", np.zeros_like(self.q))

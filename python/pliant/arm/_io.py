@@ -23,14 +23,14 @@ from pliant._servo_tables import take
 from pliant._validation import format_value, mapping, real
 from pliant.arm._checks import vector
 from pliant.arm.thermal import TOO_HOT, thermal_faults
-from pliant.drive import MonotonicClock, State
+from pliant.drive import MonotonicClock
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from numpy.typing import ArrayLike
 
-    from pliant._core import Model, Servos
+    from pliant._core import Model, Servos, State
     from pliant._typing import Array, Mask
     from pliant.arm.thermal import Budget
     from pliant.drive import Clock, Drive, ServoStatus
@@ -294,7 +294,7 @@ class ArmIO:
             if gap > 0.5 * self._watchdog:
                 self._rearm()
         passed, self._last_update = now - self._last_update, now
-        attributes, is_suspect = self._limiter.update(
+        state, is_suspect = self._limiter.update(
             self.positions,
             sample,
             goal=self._goals,
@@ -303,14 +303,10 @@ class ArmIO:
             now=now,
             max_jumps=MAX_JUMPS,
             max_heat=TOO_HOT,
+            voltage=self._chain_voltage,
+            temperature=self._chain_temperature,
         )
-        attributes["voltage"] = self._chain_voltage
-        attributes["temperature"] = self._chain_temperature
-        attributes["faults"] = self.faults() if is_suspect or self._reported else ()
-        # The constructor of a frozen dataclass makes a call per attribute.
-        state = object.__new__(State)
-        object.__setattr__(state, "__dict__", attributes)
-        return state
+        return state.replace(faults=self.faults()) if is_suspect or self._reported else state
 
     def faults(self) -> tuple[str, ...]:
         """Return the present faults of the servos, one sentence each."""

@@ -51,6 +51,9 @@ class Group:
         devices: The servos.
         family: Their family.
         ids: Ids of the servos.
+        sync_read: True if one request can read all of them.
+        read: Blocks of a reading, see `Family.read`.
+        write_blocks: Block of each packet of a command.
         indices: Indices of the servos in the codec.
         core: The servos in the core, which makes a request with conversion of the registers in one
             call; None if the transport does not support it.
@@ -63,6 +66,8 @@ class Group:
         self.devices, self.family = devices, devices[0].family
         self.ids = [device.id for device in devices]
         self.indices = [device.index for device in devices]
+        self.sync_read, self.read = self.family.sync_read, self.family.read
+        self.write_blocks = self.family.write_blocks
         self.read_with_status = self.family.read_with_status
         self.is_plain = not self.family.layout(self.family.read[0]).has_status
         self.core: ServoGroup | None = None
@@ -179,7 +184,7 @@ class Port:
         groups = self._grouped(self.responsive) if self._silent else self._read_groups
         try:
             for group in groups:
-                if group.family.sync_read:
+                if group.sync_read:
                     readings = self._read_group(group, accepted)
                     if readings is not None:
                         return readings
@@ -306,9 +311,7 @@ class Port:
             self.devices[0].codec.encode([], *command)
         for group in self._write_groups:
             if group.core is not None:
-                self.guard.sync_encode(
-                    group.core, len(group.ids), group.family.write_blocks, command
-                )
+                self.guard.sync_encode(group.core, len(group.ids), group.write_blocks, command)
             else:
                 goals, limits, _, *data = group.devices[0].codec.encode(group.indices, *command)
                 self.send(group, goals, limits, data)
@@ -357,7 +360,7 @@ class Port:
         if has_status:
             is_usual = all(device.is_driven for device in group.devices)
         else:
-            blocks, is_usual = group.family.read, group.is_plain
+            blocks, is_usual = group.read, group.is_plain
         try:
             found = self.guard.sync_decode(
                 group.ids, blocks, decoder, self._restart, usual=is_usual

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
-from math import inf, isinf
+from math import inf
 from typing import TYPE_CHECKING, Literal, NamedTuple, ParamSpec, TypeVar
 
 from pliant._core import ConfigError
@@ -302,8 +302,6 @@ class TransactionGuard:
 
     Attributes:
         counters: Event counters.
-        response_delay: Longest time from request to reply of a servo [s].
-        latency: Latency timer of the USB adapter [s].
         held_back: Shortest delay of a reply beyond its wire time [s].
         unused_id: Id without a servo; pings to it drain the line.
         is_gone: True if the port has vanished; every request then fails at once.
@@ -325,26 +323,46 @@ class TransactionGuard:
     ) -> None:
         """Store the parameters of the port; send no request yet."""
         self.counters = Counters()
-        self.response_delay = RESPONSE_DELAY
+        self._response_delay, self._latency = RESPONSE_DELAY, latency
         self.is_gone = self.is_noisy = False
-        self.latency, self.held_back = latency, float("inf")
+        self.held_back = float("inf")
         self._io, self._protocol, self.unused_id = transport, protocol, unused_id
         self._baudrate, self._cycle = baudrate, cycle
         self._clock, self._sample_clock = clock, sample_clock or clock
-        self._deadline = float("inf")
+        self._deadline, self._is_relaxed = float("inf"), True
         self._is_dirty = False
         self._timeout = self._reply_timeout = self._wire = 0.0
         self._reply_timeout_min = reply_timeout_min
         self._pending = PendingReplies()
         # Wire time and reply timeout [s] of each kind of request so far.
-        self._times: dict[tuple[Kind, int, int, float, float], tuple[float, float]] = {}
+        self._times: dict[tuple[Kind, int, int], tuple[float, float]] = {}
+
+    @property
+    def response_delay(self) -> float:
+        """Longest time from request to reply of a servo [s]."""
+        return self._response_delay
+
+    @response_delay.setter
+    def response_delay(self, seconds: float) -> None:
+        self._response_delay = seconds
+        self._times.clear()
+
+    @property
+    def latency(self) -> float:
+        """Latency timer of the USB adapter [s]."""
+        return self._latency
+
+    @latency.setter
+    def latency(self, seconds: float) -> None:
+        self._latency = seconds
+        self._times.clear()
 
     def start_cycle(self, budget: float = float("inf")) -> None:
         """Start a control cycle: retries and drains end within `budget` [s] from now.
 
         Outside of control cycles the budget is infinite, with longer timeouts and more tries.
         """
-        self._deadline = self._clock() + budget
+        self._deadline, self._is_relaxed = self._clock() + budget, budget == inf
 
     def expect_late_replies(self) -> None:
         """Drain the line before the next request: replies to an ended program may still come."""
@@ -546,6 +564,8 @@ class TransactionGuard:
                 error.raise_if_gone()
                 continue
             self.unused_id = number
+            # There is no servo that could still answer.
+            self._pending.missing.pop(number, None)
             return
 
     def _read(self, id: int, blocks: Sequence[Block]) -> Reply:
@@ -595,7 +615,7 @@ class TransactionGuard:
         found = self._pending.choose(ids, blocks, self._clock())
         if found is not None:
             return found
-        if not isinf(self._deadline):
+        if not self._is_relaxed:
             raise BusError(f"id {ids[0]} may still send a late answer like this one", "late")
         for id in ids:
             self._resolve(id)
@@ -616,16 +636,15 @@ class TransactionGuard:
 
         An urgent request has the same timeout outside of control cycles as within.
         """
-        key = (kind, servos, size, self.response_delay, self.latency)
-        times = self._times.get(key)
+        times = self._times.get((kind, servos, size))
         if times is None:
-            times = self._times[key] = self._request_times(kind, servos, size)
-        wire, self._reply_timeout = times
-        if isinf(self._deadline) and not is_urgent:
-            self._reply_timeout *= RELAXED_FACTOR
-        if self._reply_timeout != self._timeout:
-            self._set_timeout(self._reply_timeout)
-        self._wire = wire
+            times = self._times[kind, servos, size] = self._request_times(kind, servos, size)
+        self._wire, timeout = times
+        if self._is_relaxed and not is_urgent:
+            timeout *= RELAXED_FACTOR
+        self._reply_timeout = timeout
+        if timeout != self._timeout:
+            self._set_timeout(timeout)
         self.counters.transactions += 1
         return self._sample_clock()
 
@@ -650,7 +669,7 @@ class TransactionGuard:
 
         After a temporary failure, drain the line and call again if the time in the cycle allows.
         """
-        tries = TRIES if isinf(self._deadline) else 2
+        tries = TRIES if self._is_relaxed else 2
         while True:
             try:
                 return call(*args, **options)
@@ -659,7 +678,7 @@ class TransactionGuard:
                 if tries == 0 or error.reason in {"gone", "noisy"}:
                     raise
                 if not self._drain():
-                    if isinf(self._deadline):
+                    if self._is_relaxed:
                         raise BusError(NOISE_MESSAGE, "noisy") from error
                     raise
                 if self._is_late():
@@ -678,7 +697,7 @@ class TransactionGuard:
         """
         self.check_port()
         if self._is_dirty and not self._drain():
-            if isinf(self._deadline):
+            if self._is_relaxed:
                 raise BusError(NOISE_MESSAGE, "noisy")
             raise BusError("no time left in this cycle", "late")
 
@@ -708,7 +727,7 @@ class TransactionGuard:
         must be silent for a reply timeout, and the drain ends after `DRAIN`.
         """
         self.counters.drains += 1
-        is_relaxed = isinf(self._deadline)
+        is_relaxed = self._is_relaxed
         silence = SILENCE_SHARE * self._reply_timeout_min + self._wire + self.latency
         if is_relaxed:
             silence = max(silence, self._reply_timeout)

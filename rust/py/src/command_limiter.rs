@@ -2,7 +2,6 @@
 
 use pliant_core::arm::LimiterInput;
 use pliant_core::{CommandLimiter as CoreLimiter, MAX_JOINTS};
-use pyo3::intern;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 
@@ -10,17 +9,16 @@ use crate::arguments;
 use crate::error::{OrRaise, shape, tuple};
 use crate::joint_readings::{Arrays, JointReadings, Values};
 use crate::model::Model;
-use crate::ndarray::new_array;
+use crate::ndarray::{Vectors, new_array};
 use crate::position_filter::PositionFilter;
 use crate::read::compact::{array_into, joints};
 use crate::read::vector;
+use crate::state::State;
 use crate::thermal::ThermalModel;
 
 type Object<'py> = Bound<'py, PyAny>;
 /// Goals, torque limits and largest speeds of all joints (N,); gravity torques (n,).
 type Limited<'py> = (Object<'py>, Object<'py>, Option<Object<'py>>, Option<Object<'py>>);
-/// Attributes of a state by name; true for faults.
-type Updated<'py> = (Bound<'py, PyDict>, bool);
 
 #[doc = stub!(CommandLimiter)]
 #[pyclass(module = "pliant._core")]
@@ -34,6 +32,8 @@ pub(crate) struct CommandLimiter {
     goal: Vec<f64>,
     limit: Vec<f64>,
     load: Vec<f64>,
+    state_vectors: [Vectors; 5],
+    command_vectors: [Vectors; 3],
 }
 
 #[pymethods]
@@ -54,7 +54,17 @@ impl CommandLimiter {
         let (kp, max_torque) = (vector("kp", kp)?, vector("max_torque", max_torque)?);
         let core = CoreLimiter::new(&model.get().core, &servos.get().0, &chain, &kp, &max_torque).or_raise()?;
         let zeros = || vec![0.0; kp.len()];
-        Ok(Self { core, model, thermal, extra, goal: zeros(), limit: zeros(), load: zeros() })
+        Ok(Self {
+            core,
+            model,
+            thermal,
+            extra,
+            goal: zeros(),
+            limit: zeros(),
+            load: zeros(),
+            state_vectors: Default::default(),
+            command_vectors: Default::default(),
+        })
     }
 
     #[doc = stub!(CommandLimiter.unreachable)]
@@ -80,10 +90,11 @@ impl CommandLimiter {
     ) -> PyResult<Limited<'py>> {
         let (py, n, size) = (goal.py(), self.core.n(), self.core.size());
         let goal = joints("goal", goal, n)?;
+        let [goal_vectors, limit_vectors, speed_vectors] = &mut self.command_vectors;
         let speeds = match velocity {
             Some(velocity) => {
                 let speeds = self.core.speeds(&joints("velocity", velocity, n)?[..n]).or_raise()?;
-                Some(new_array(py, &[size], speeds))
+                Some(speed_vectors.take(py, speeds))
             }
             None => None,
         };
@@ -109,24 +120,28 @@ impl CommandLimiter {
             may_lead: lead,
         };
         let (goals, limits) = self.core.limit(&thermal.core, &input).or_raise()?;
-        let array = |values: &[f64]| new_array(py, &[values.len()], values);
-        Ok((array(goals), array(limits), speeds, (!lead).then(|| array(gravity.as_slice()))))
+        let gravity = (!lead).then(|| new_array(py, &[n], gravity.as_slice()));
+        Ok((goal_vectors.take(py, goals), limit_vectors.take(py, limits), speeds, gravity))
     }
 
     #[doc = stub!(CommandLimiter.update)]
-    #[pyo3(signature = (positions, readings, *, goal, limit, dt, now, max_jumps, max_heat))]
+    #[pyo3(signature = (
+        positions, readings, *, goal, limit, dt, now, max_jumps, max_heat, voltage = None, temperature = None
+    ))]
     #[expect(clippy::too_many_arguments, reason = "a reading and the command in force")]
-    fn update<'py>(
+    fn update(
         &mut self,
-        positions: &Bound<'py, PositionFilter>,
-        readings: &Bound<'py, JointReadings>,
-        goal: &Bound<'py, PyAny>,
-        limit: &Bound<'py, PyAny>,
+        positions: &Bound<'_, PositionFilter>,
+        readings: &Bound<'_, JointReadings>,
+        goal: &Bound<'_, PyAny>,
+        limit: &Bound<'_, PyAny>,
         dt: f64,
         now: f64,
         max_jumps: u32,
         max_heat: f64,
-    ) -> PyResult<Updated<'py>> {
+        voltage: Option<Py<PyAny>>,
+        temperature: Option<Py<PyAny>>,
+    ) -> PyResult<(State, bool)> {
         let (py, shape_of_all) = (positions.py(), [self.core.size()]);
         let mut filter = positions.try_borrow_mut()?;
         let readings = readings.get();
@@ -136,34 +151,37 @@ impl CommandLimiter {
         }
         array_into("goal", goal, &shape_of_all, &mut self.goal)?;
         array_into("limit", limit, &shape_of_all, &mut self.limit)?;
+        let [of_q, of_age, measured_vectors @ ..] = &mut self.state_vectors;
         let mut measured = [None, None, None];
+        let mut note = |i: usize, values: &[f64]| {
+            measured[i] = Some(of_chain(py, &self.core, values, &mut measured_vectors[i]).unbind());
+        };
         // The load comes last: it stays in the buffer for the heat.
-        let heating = match &readings.values {
+        let has_load = match &readings.values {
             Values::Servos(rows, _) => {
-                for (slot, column) in measured.iter_mut().zip([2, 4, 3]) {
+                for (i, column) in [2, 4, 3].into_iter().enumerate() {
                     for (value, row) in self.load.iter_mut().zip(rows) {
                         *value = row[column];
                     }
-                    *slot = Some(self.of_chain(py, &self.load));
+                    note(i, &self.load);
                 }
-                Some(&self.load[..])
+                true
             }
             Values::Arrays(Arrays { velocity, load, current, .. }) => {
                 let names = [("velocity", velocity), ("current", current), ("load", load)];
-                for (slot, (name, value)) in measured.iter_mut().zip(names) {
+                for (i, (name, value)) in names.into_iter().enumerate() {
                     if let Some(value) = value {
                         array_into(name, value.bind(py), &shape_of_all, &mut self.load)?;
-                        *slot = Some(self.of_chain(py, &self.load));
+                        note(i, &self.load);
                     }
                 }
-                load.as_ref().map(|_| &self.load[..])
+                load.is_some()
             }
         };
         let filter = &filter.core;
         let mut thermal = self.thermal.bind(py).try_borrow_mut()?;
-        self.core
-            .update_heat(&mut thermal.core, [&self.goal, &self.limit], filter.position(), heating, dt)
-            .or_raise()?;
+        let load = has_load.then_some(&self.load[..]);
+        self.core.update_heat(&mut thermal.core, [&self.goal, &self.limit], filter.position(), load, dt).or_raise()?;
         let chain = self.core.chain();
         let (mut age, mut oldest, mut is_fresh) = ([0.0; MAX_JOINTS], f64::INFINITY, true);
         for (age, &joint) in age.iter_mut().zip(chain) {
@@ -172,31 +190,33 @@ impl CommandLimiter {
             is_fresh &= filter.accepted()[joint];
         }
         let has_jumped = filter.rejected().iter().any(|rejected| *rejected >= max_jumps);
-        let [velocity, current, load] = measured;
         let extra = PyDict::new(py);
         for (name, joint) in self.extra.bind(py).iter().zip(self.core.off_chain()) {
             extra.set_item(name, filter.position()[*joint])?;
         }
-        let state = PyDict::new(py);
-        state.set_item(intern!(py, "q"), self.of_chain(py, filter.position()))?;
-        state.set_item(intern!(py, "dq"), velocity)?;
-        state.set_item(intern!(py, "time"), oldest)?;
-        state.set_item(intern!(py, "fresh"), is_fresh)?;
-        state.set_item(intern!(py, "extra"), extra)?;
-        state.set_item(intern!(py, "age"), new_array(py, &[chain.len()], &age[..chain.len()]))?;
-        state.set_item(intern!(py, "load"), load)?;
-        state.set_item(intern!(py, "current"), current)?;
+        let [dq, current, load] = measured;
+        let state = State {
+            q: of_chain(py, &self.core, filter.position(), of_q).unbind(),
+            dq,
+            time: oldest,
+            fresh: is_fresh,
+            extra: extra.into_any().unbind(),
+            age: of_age.take(py, &age[..chain.len()]).unbind(),
+            load,
+            current,
+            voltage,
+            temperature,
+            faults: PyTuple::empty(py).unbind(),
+        };
         Ok((state, has_jumped || thermal.core.is_too_hot(max_heat)))
     }
 }
 
-impl CommandLimiter {
-    /// Returns the entries of the chain's joints in a vector of all joints (N), as an array (n,).
-    fn of_chain<'py>(&self, py: Python<'py>, values: &[f64]) -> Bound<'py, PyAny> {
-        let mut chosen = [0.0; MAX_JOINTS];
-        for (slot, joint) in chosen.iter_mut().zip(self.core.chain()) {
-            *slot = values[*joint];
-        }
-        new_array(py, &[self.core.n()], &chosen[..self.core.n()])
+/// Returns the entries of the chain's joints in a vector of all joints (N), as an array (n,) of `vectors`.
+fn of_chain<'py>(py: Python<'py>, core: &CoreLimiter, values: &[f64], vectors: &mut Vectors) -> Bound<'py, PyAny> {
+    let mut chosen = [0.0; MAX_JOINTS];
+    for (slot, joint) in chosen.iter_mut().zip(core.chain()) {
+        *slot = values[*joint];
     }
+    vectors.take(py, &chosen[..core.n()])
 }

@@ -2,6 +2,7 @@
 
 use numpy::PyArray1;
 use pyo3::prelude::*;
+use pyo3::types::PyTuple;
 
 use crate::ndarray::new_array;
 
@@ -69,6 +70,12 @@ impl JointReadings {
         current: Option<Py<PyAny>>,
     ) -> Self {
         Self { values: Values::Arrays(Arrays { position, ok, time, velocity, load, current }) }
+    }
+
+    fn __getnewargs__<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyTuple>> {
+        let names = ["position", "ok", "time", "velocity", "load", "current"];
+        let values = names.iter().map(|name| slf.getattr(*name)).collect::<PyResult<Vec<_>>>()?;
+        PyTuple::new(slf.py(), values)
     }
 
     #[doc = stub!(JointReadings.position)]

@@ -40,6 +40,7 @@ mod servo_group;
 mod servos;
 mod settings;
 mod solution;
+mod state;
 mod step_batch;
 mod task;
 mod thermal;
@@ -106,6 +107,8 @@ mod _core {
     use crate::settings::Settings;
     #[pymodule_export]
     use crate::solution::IkResult;
+    #[pymodule_export]
+    use crate::state::State;
     #[pymodule_export]
     use crate::step_batch::BatchState;
     #[pymodule_export]
