@@ -3372,6 +3372,8 @@ class CommandLimiter:
         extra: Names of the other joints (N - n,).
         kp: Stiffness of all joints (N,) [N m/rad].
         max_torque: Usable torques of all joints (N,) [N m].
+        max_jumps: Number of implausible positions in a row from which on a joint is faulty.
+        max_heat: Heat above which a servo is too hot.
 
     Raises:
         ShapeError, ConfigError: Lengths differ, an index is invalid, or a stiffness is not above 0.
@@ -3387,7 +3389,12 @@ class CommandLimiter:
         extra: tuple[str, ...],
         kp: ArrayLike,
         max_torque: ArrayLike,
+        max_jumps: int,
+        max_heat: float,
     ) -> CommandLimiter: ...
+    def set_supply(self, voltage: _Array, temperature: _Array) -> None:
+        """Set supply voltages (n,) [V] and temperatures (n,) [deg C] of the next states."""
+
     def unreachable(self, goal: ArrayLike) -> int | None:
         """Return the joint whose goal is so far outside its limits that its unit must be wrong.
 
@@ -3432,15 +3439,10 @@ class CommandLimiter:
         self,
         positions: PositionFilter,
         readings: JointReadings,
-        *,
         goal: ArrayLike,
         limit: ArrayLike,
         dt: float,
         now: float,
-        max_jumps: int,
-        max_heat: float,
-        voltage: _Array | None = None,
-        temperature: _Array | None = None,
     ) -> tuple[State, bool]:
         """Filter the positions of a reading, and update the heat with the torques since the last.
 
@@ -3452,10 +3454,6 @@ class CommandLimiter:
             limit: Torque limits in the servos (N,) [N m].
             dt: Time since the last update [s].
             now: Present time [s].
-            max_jumps: Number of implausible positions in a row from which on a joint is faulty.
-            max_heat: Heat above which a servo is too hot.
-            voltage: Supply voltages of the state.
-            temperature: Temperatures of the state.
 
         Returns:
             The state with the last plausible positions, without faults; True if a joint is faulty

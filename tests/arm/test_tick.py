@@ -47,8 +47,9 @@ def test_limits_equal_their_formula(supply, lead):
     servos = model.servos
     thermal = Budget(supply=supply).thermal_model(max_torque, np.full(size, 2.0))
     limiter = CommandLimiter(
-        model, servos, thermal, chain=chain, extra=("jaw",), kp=kp, max_torque=max_torque
-    )
+        model, servos, thermal, chain=chain, extra=("jaw",), kp=kp, max_torque=max_torque,
+        max_jumps=3, max_heat=1.0,
+    )  # fmt: skip
     heat = np.zeros(size)
     count = 0
     for _ in range(200):
@@ -100,7 +101,7 @@ def test_limits_equal_their_formula(supply, lead):
         positions, ok = PositionFilter(np.ones(size)), np.ones(size, dtype=bool)
         limiter.update(
             positions, JointReadings(position, ok, 0.0, load=load),
-            goal=goals, limit=limits, dt=2.0, now=0.0, max_jumps=3, max_heat=1.0,
+            goals, limits, 2.0, 0.0,
         )  # fmt: skip
         heat += -np.expm1(-2.0 / 30.0) * ((torque / (0.4 * max_torque)) ** 2 - heat)
         assert thermal.heat == pytest.approx(heat, rel=1e-9)
@@ -123,6 +124,8 @@ def test_a_reading_updates_filter_and_heat_as_single_calls_do():
             extra=("jaw",),
             kp=kp,
             max_torque=max_torque,
+            max_jumps=2,
+            max_heat=0.9,
         )
         return limiter, PositionFilter(np.full(size, 0.5)), thermal
 
@@ -140,7 +143,7 @@ def test_a_reading_updates_filter_and_heat_as_single_calls_do():
         )
         state, is_suspect = limiter.update(
             positions, JointReadings(position, ok, time, velocity, load, current),
-            goal=goal, limit=limit, dt=dt, now=reading_time, max_jumps=2, max_heat=0.9,
+            goal, limit, dt, reading_time,
         )  # fmt: skip
         is_accepted = expected.update(position, ok, time)
         assert positions.accepted.tolist() == is_accepted.tolist()
@@ -167,7 +170,7 @@ def test_a_reading_updates_filter_and_heat_as_single_calls_do():
     with pytest.raises(pliant.ShapeError, match="position has shape"):
         limiter.update(
             PositionFilter([1.0]), JointReadings(np.zeros(1), np.ones(1, dtype=bool), 0.0),
-            goal=goal, limit=limit, dt=0.0, now=0.0, max_jumps=2, max_heat=0.9,
+            goal, limit, 0.0, 0.0,
         )  # fmt: skip
     assert n == len(chain)
 

@@ -153,17 +153,20 @@ class LowTorqueWarning:
     The torque limit of a joint [N·m] is too low if ``limit < 0.5 |g|`` and ``limit + τ_f < |g|``,
     with the joint's gravity torque g and dry friction τ_f [N·m]. Commands of a `Controller` are not
     checked, because their limits carry the weight.
+
+    Attributes:
+        since: Time since which a limit is too low [s]; None: no limit is.
     """
 
     def __init__(self, model: Model, servos: Servos) -> None:
         """Store the joint names of the model and the friction of the servos."""
         self._names, self._friction = model.joint_names, np.asarray(servos.friction)
-        self._since: float | None = None
+        self.since: float | None = None
         self._is_warned = False
 
     def reset(self) -> None:
         """Restart the time `LOW_TIME`; call this after every command of a `Controller`."""
-        self._since = None
+        self.since = None
 
     def check(self, limit: Array, gravity: Array, now: float) -> None:
         """Warn once, if a torque limit has been too low for `LOW_TIME`.
@@ -179,10 +182,10 @@ class LowTorqueWarning:
         weight = np.abs(gravity)
         short = (limit < LOW_SHARE * weight) & (limit + self._friction < weight)
         if self._is_warned or not short.any():
-            self._since = None
+            self.since = None
             return
-        self._since = now if self._since is None else self._since
-        if now - self._since <= LOW_TIME:
+        self.since = now if self.since is None else self.since
+        if now - self.since <= LOW_TIME:
             return
         self._is_warned = True
         joint = int(np.where(short, weight - limit, -np.inf).argmax())
@@ -235,6 +238,8 @@ class ArmIO:
             extra=self.joints.extra,
             kp=self._kp,
             max_torque=self._usable,
+            max_jumps=MAX_JUMPS,
+            max_heat=TOO_HOT,
         )
         self._low_torque = LowTorqueWarning(model, self.servos)
         self.orders: dict[str, tuple[float, float]] = {}
@@ -245,7 +250,7 @@ class ArmIO:
         self._goals, self._limits, self._is_sent = np.zeros(size), np.zeros(size), False
         # Read-only arrays (N,): states hold views of them, so a change creates a new array.
         self._voltage = self._temperature = _with_entry(np.full(size, np.nan), 0, np.nan)
-        self._chain_voltage = self._chain_temperature = self._voltage[self.joints.select]
+        self._set_supply()
         # Last status by joint name.
         self._statuses: dict[str, ServoStatus] = {}
         self._reported: dict[str, tuple[str, ...]] = {}
@@ -297,14 +302,10 @@ class ArmIO:
         state, is_suspect = self._limiter.update(
             self.positions,
             sample,
-            goal=self._goals,
-            limit=self._limits,
-            dt=passed if self._is_sent else 0.0,
-            now=now,
-            max_jumps=MAX_JUMPS,
-            max_heat=TOO_HOT,
-            voltage=self._chain_voltage,
-            temperature=self._chain_temperature,
+            self._goals,
+            self._limits,
+            passed if self._is_sent else 0.0,
+            now,
         )
         return state.replace(faults=self.faults()) if is_suspect or self._reported else state
 
@@ -494,10 +495,10 @@ class ArmIO:
         self.orders = orders
         goals, limits, speeds, gravity = limited
         self._transmit(goals, limits, speeds)
-        if gravity is None:
-            self._low_torque.reset()
-        else:
+        if gravity is not None:
             self._low_torque.check(np.asarray(limit), gravity, self.clock.now())
+        elif self._low_torque.since is not None:
+            self._low_torque.reset()
 
     def _check_command(
         self, goal: ArrayLike, limit: ArrayLike, velocity: ArrayLike | None
@@ -593,11 +594,15 @@ class ArmIO:
         """Store voltage [V] and temperature [°C] of a joint; None keeps the last value."""
         if voltage is not None:
             self._voltage = _with_entry(self._voltage, index, voltage)
-            self._chain_voltage = self._voltage[self.joints.select]
         if temperature is not None:
             self.thermal.set_temperature(index, temperature)
             self._temperature = _with_entry(self._temperature, index, temperature)
-            self._chain_temperature = self._temperature[self.joints.select]
+        self._set_supply()
+
+    def _set_supply(self) -> None:
+        """Pass voltages and temperatures of the chain to the limiter, for the next states."""
+        select = self.joints.select
+        self._limiter.set_supply(self._voltage[select], self._temperature[select])
 
 
 def _with_entry(values: Array, index: int, value: float | None) -> Array:

@@ -124,7 +124,7 @@ class Supervisor:
     @property
     def is_owned_elsewhere(self) -> bool:
         """Return True if torque is on and the arm belongs to another process."""
-        return not _NOT_FORKED[0] and self.owner is not None and self.owner != os.getpid()
+        return self.owner is not None and self.owner != os.getpid()
 
     def check(self) -> None:
         """Raise an error unless this process and thread may use the arm.
@@ -133,7 +133,7 @@ class Supervisor:
             ServoTimeoutError: The watchdog thread has taken the arm over, or is lowering it.
             ServoError: Another process switched the torque of the arm on.
         """
-        if self.is_owned_elsewhere:
+        if not _NOT_FORKED[0] and self.is_owned_elsewhere:
             raise ServoError(
                 f"this arm belongs to process {self.owner}, which switched its torque on; this is "
                 f"process {os.getpid()}, forked from it: read and write there, and send the data "

@@ -545,12 +545,19 @@ class StatusPoller:
             return None
         if self._seen != self._changes.count:
             self._note_changes()
-        if self._doubtful or self._reported:
-            device, block = self._choose()
-        else:
-            device, block = self._choose_next()
-        if block is None or (guard := ports[id(device)].guard).is_gone:
-            return self._statuses.get(device.joint) or self._status(device.joint)
+        found = self._choose() if self._doubtful or self._reported else None
+        if found is None:
+            self._is_repeat = False
+            found = self._steps[self._next]
+            self._next = (self._next + 1) % len(self._steps)
+            if found[0].has_new_status:
+                found[0].has_new_status = False
+                joint = found[0].joint
+                return self._statuses.get(joint) or self._status(joint)
+        device, block = found
+        guard = ports[id(device)].guard
+        if guard.is_gone:
+            return self._status(device.joint)
         try:
             device.note(guard.read(device.id, block))
         except BusError as error:
@@ -585,8 +592,8 @@ class StatusPoller:
         # False: the caller reads the status of a servo that lost its torque in the same cycle.
         return all(d.enabled for d in enabled)
 
-    def _choose(self) -> tuple[Device, Block | None]:
-        """Return a servo with a fault, or the next one, and the block to read as `_choose_next`."""
+    def _choose(self) -> tuple[Device, Block] | None:
+        """Return a servo with a fault, and the block to read; None: the next servo in turn."""
         if self._reported:
             self._reported.intersection_update(map(id, self._doubtful))
         for device in self._doubtful:
@@ -601,17 +608,7 @@ class StatusPoller:
                 return device, device.family.status_blocks[0]
             if not is_urgent:
                 self._reported.discard(id(device))
-        return self._choose_next()
-
-    def _choose_next(self) -> tuple[Device, Block | None]:
-        """Return the next servo and the block to read; None if its last reading contained it."""
-        self._is_repeat = False
-        device, block = self._steps[self._next]
-        self._next = (self._next + 1) % len(self._steps)
-        if device.has_new_status:
-            device.has_new_status = False
-            return device, None
-        return device, block
+        return None
 
     def _note_changes(self) -> None:
         """Find the servos with a fault again, and discard the statuses."""

@@ -29,6 +29,10 @@ pub(crate) struct CommandLimiter {
     thermal: Py<ThermalModel>,
     /// Names of the joints off the chain.
     extra: Py<PyTuple>,
+    max_jumps: u32,
+    max_heat: f64,
+    /// Voltage and temperature of the next states.
+    supply: [Option<Py<PyAny>>; 2],
     goal: Vec<f64>,
     limit: Vec<f64>,
     load: Vec<f64>,
@@ -39,7 +43,8 @@ pub(crate) struct CommandLimiter {
 #[pymethods]
 impl CommandLimiter {
     #[new]
-    #[pyo3(signature = (model, servos, thermal, *, chain, extra, kp, max_torque))]
+    #[pyo3(signature = (model, servos, thermal, *, chain, extra, kp, max_torque, max_jumps, max_heat))]
+    #[expect(clippy::too_many_arguments, reason = "the arm and its limits")]
     #[expect(clippy::needless_pass_by_value, reason = "PyO3 passes extracted arguments by value")]
     fn new(
         model: &Bound<'_, PyAny>,
@@ -49,6 +54,8 @@ impl CommandLimiter {
         extra: Py<PyTuple>,
         kp: &Bound<'_, PyAny>,
         max_torque: &Bound<'_, PyAny>,
+        max_jumps: u32,
+        max_heat: f64,
     ) -> PyResult<Self> {
         let (model, servos) = (arguments::model(model)?, arguments::servos(servos)?);
         let (kp, max_torque) = (vector("kp", kp)?, vector("max_torque", max_torque)?);
@@ -59,6 +66,9 @@ impl CommandLimiter {
             model,
             thermal,
             extra,
+            max_jumps,
+            max_heat,
+            supply: [None, None],
             goal: zeros(),
             limit: zeros(),
             load: zeros(),
@@ -71,6 +81,11 @@ impl CommandLimiter {
     fn unreachable(&self, goal: &Bound<'_, PyAny>) -> PyResult<Option<usize>> {
         let n = self.core.n();
         Ok(self.core.unreachable(&joints("goal", goal, n)?[..n]))
+    }
+
+    #[doc = stub!(CommandLimiter.set_supply)]
+    fn set_supply(&mut self, voltage: Py<PyAny>, temperature: Py<PyAny>) {
+        self.supply = [Some(voltage), Some(temperature)];
     }
 
     #[doc = stub!(CommandLimiter.limit)]
@@ -125,9 +140,7 @@ impl CommandLimiter {
     }
 
     #[doc = stub!(CommandLimiter.update)]
-    #[pyo3(signature = (
-        positions, readings, *, goal, limit, dt, now, max_jumps, max_heat, voltage = None, temperature = None
-    ))]
+    #[pyo3(signature = (positions, readings, goal, limit, dt, now))]
     #[expect(clippy::too_many_arguments, reason = "a reading and the command in force")]
     fn update(
         &mut self,
@@ -137,10 +150,6 @@ impl CommandLimiter {
         limit: &Bound<'_, PyAny>,
         dt: f64,
         now: f64,
-        max_jumps: u32,
-        max_heat: f64,
-        voltage: Option<Py<PyAny>>,
-        temperature: Option<Py<PyAny>>,
     ) -> PyResult<(State, bool)> {
         let (py, shape_of_all) = (positions.py(), [self.core.size()]);
         let mut filter = positions.try_borrow_mut()?;
@@ -189,12 +198,14 @@ impl CommandLimiter {
             (*age, oldest) = (now - sampled, sampled.min(oldest));
             is_fresh &= filter.accepted()[joint];
         }
-        let has_jumped = filter.rejected().iter().any(|rejected| *rejected >= max_jumps);
+        let has_jumped = filter.rejected().iter().any(|rejected| *rejected >= self.max_jumps);
         let extra = PyDict::new(py);
         for (name, joint) in self.extra.bind(py).iter().zip(self.core.off_chain()) {
             extra.set_item(name, filter.position()[*joint])?;
         }
         let [dq, current, load] = measured;
+        let [voltage, temperature] =
+            self.supply.each_ref().map(|array| array.as_ref().map(|array| array.clone_ref(py)));
         let state = State {
             q: of_chain(py, &self.core, filter.position(), of_q).unbind(),
             dq,
@@ -208,7 +219,7 @@ impl CommandLimiter {
             temperature,
             faults: PyTuple::empty(py).unbind(),
         };
-        Ok((state, has_jumped || thermal.core.is_too_hot(max_heat)))
+        Ok((state, has_jumped || thermal.core.is_too_hot(self.max_heat)))
     }
 }
 

@@ -60,16 +60,23 @@ impl Replies {
 #[pyclass(module = "pliant._core", frozen)]
 #[derive(Debug)]
 pub(crate) struct SerialPort {
-    /// Descriptor of the port; `None` after `close`. Locked, because the number of a closed descriptor may be reused
-    /// while a thread uses it.
-    descriptor: Mutex<Option<i32>>,
+    /// Locked, because the number of a closed descriptor may be reused while a thread uses it.
+    open: Mutex<Option<Open>>,
+}
+
+/// State of a port before `close`.
+#[derive(Debug, Clone, Copy)]
+struct Open {
+    descriptor: i32,
+    /// True if all servos have answered the last request: the port has sent all bytes, and takes a packet at once.
+    is_idle: bool,
 }
 
 #[pymethods]
 impl SerialPort {
     #[new]
     fn new(descriptor: i32) -> Self {
-        Self { descriptor: Mutex::new(Some(descriptor)) }
+        Self { open: Mutex::new(Some(Open { descriptor, is_idle: false })) }
     }
 
     #[doc = stub!(SerialPort.exchange)]
@@ -108,8 +115,8 @@ impl SerialPort {
 
 impl SerialPort {
     /// Locks the port. The interpreter lock must be released, because a thread that holds this lock may wait for it.
-    fn lock(&self) -> MutexGuard<'_, Option<i32>> {
-        self.descriptor.lock().unwrap_or_else(PoisonError::into_inner)
+    fn lock(&self) -> MutexGuard<'_, Option<Open>> {
+        self.open.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -183,14 +190,18 @@ fn send_request(
     let packet_len = OVERHEAD + usize::from(size);
     let mut bytes = vec![0; ids.len() * packet_len];
     let result = py.detach(|| {
-        let descriptor = port.lock();
-        let number = descriptor.filter(|number| *number >= 0).ok_or(Errno::BADF)?;
+        let mut open = port.lock();
+        let open = open.as_mut().filter(|open| open.descriptor >= 0).ok_or(Errno::BADF)?;
+        let is_idle = std::mem::take(&mut open.is_idle);
         // SAFETY: the descriptor is not -1, and is used during this call only. A descriptor that Python closes
         // meanwhile makes the calls fail, or reach another file of the program, but breaks no memory.
-        let port = unsafe { BorrowedFd::borrow_raw(number) };
-        write_and_read(port, &request, ids, &mut bytes, timeout)
+        let port = unsafe { BorrowedFd::borrow_raw(open.descriptor) };
+        let (received, is_wrong) = write_and_read(port, &request, ids, &mut bytes, timeout, is_idle)?;
+        open.is_idle = !ids.is_empty() && received == bytes.len() && !is_wrong;
+        Ok((received, is_wrong))
     });
-    let (received, is_wrong) = result.map_err(|errno| PyOSError::new_err((errno.raw_os_error(), "serial port")))?;
+    let (received, is_wrong) =
+        result.map_err(|errno: Errno| PyOSError::new_err((errno.raw_os_error(), "serial port")))?;
     let is_complete = received == bytes.len() && !is_wrong;
     bytes.truncate(received);
     Ok(Replies { bytes, packet_len, is_complete })
@@ -198,22 +209,26 @@ fn send_request(
 
 /// Writes the request and reads the replies into `reply`, whose length is that of the expected packets. If replies are
 /// expected, bytes that were received before are discarded. Returns the number of bytes read, and true if they are not a
-/// valid packet of the expected size from each of the servos `ids`; reading ends when this shows.
+/// valid packet of the expected size from each of the servos `ids`; reading ends when this shows. An idle port is not
+/// waited for before a packet without a reply.
 fn write_and_read(
     port: BorrowedFd<'_>,
     request: &[u8],
     ids: &[u8],
     reply: &mut [u8],
     timeout: Duration,
+    is_idle: bool,
 ) -> Result<(usize, bool), Errno> {
     let mut old = [0; CHUNK];
     let mut discards = if reply.is_empty() { MAX_DISCARDS } else { 0 };
     let end = Instant::now() + timeout;
     let mut rest = request;
+    let mut takes_packet = is_idle && reply.is_empty();
     while !rest.is_empty() {
         let may_discard = discards < MAX_DISCARDS && rest.len() == request.len();
         let flags = if may_discard { PollFlags::IN | PollFlags::OUT } else { PollFlags::OUT };
-        let ready = wait(port, flags, end)?;
+        let ready = if takes_packet { flags } else { wait(port, flags, end)? };
+        takes_packet = false;
         if ready.is_empty() {
             return Err(Errno::TIMEDOUT);
         }
