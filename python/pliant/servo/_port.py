@@ -49,6 +49,7 @@ class Group:
 
     Attributes:
         devices: The servos.
+        last: The last of them.
         family: Their family.
         ids: Ids of the servos.
         sync_read: True if one request can read all of them.
@@ -64,6 +65,7 @@ class Group:
 
     def __init__(self, devices: Sequence[Device], serial: SerialPort | None = None) -> None:
         self.devices, self.family = devices, devices[0].family
+        self.last = devices[-1]
         self.ids = [device.id for device in devices]
         self.indices = [device.index for device in devices]
         self.sync_read, self.read = self.family.sync_read, self.family.read
@@ -355,12 +357,10 @@ class Port:
             The readings of the joints, if they are usual and the bus has no other servos.
         """
         decoder = None if self._misses else group.core
-        blocks = group.read_with_status
-        has_status = bool(blocks) and not group.devices[-1].has_new_status
-        if has_status:
+        blocks, is_usual, has_status = group.read, group.is_plain, False
+        if group.read_with_status and not group.last.has_new_status:
+            blocks, has_status = group.read_with_status, True
             is_usual = all(device.is_driven for device in group.devices)
-        else:
-            blocks, is_usual = group.read, group.is_plain
         try:
             found = self.guard.sync_decode(
                 group.ids, blocks, decoder, self._restart, usual=is_usual

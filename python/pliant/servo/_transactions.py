@@ -434,24 +434,23 @@ class TransactionGuard:
         if self._is_dirty or self.is_gone:
             self._clear_line()
         try:
-            missing = self._pending.missing
-            is_clear = not missing or missing.keys().isdisjoint(ids)
-            block = blocks[0] if is_clear else self._choose(ids, blocks)
+            block = self._choose(ids, blocks) if self._pending.missing else blocks[0]
             start = self._prepare("sync_read", len(ids), block.size)
             started = self._clock()
             try:
                 answers: list[tuple[bytes, int]]
-                notable: list[tuple[int, bool | None]] = []
+                notable: list[tuple[int, bool | None]]
                 if decoder is None:
-                    answers = self._io.sync_read(ids, block.address, block.size)
+                    answers, notable = self._io.sync_read(ids, block.address, block.size), []
                 else:
-                    is_usual = usual and block is blocks[0]
                     try:
-                        found = decoder.read(block, self._timeout, start, longest, is_usual)
+                        found = decoder.read(
+                            block, self._timeout, start, longest, usual and block is blocks[0]
+                        )
                     except OSError as error:
                         raise self._io.lost(error) from error  # type: ignore[attr-defined]
                     if not isinstance(found, tuple):
-                        if not is_clear:
+                        if self._pending.missing:
                             self._pending.mark_superseded(ids)
                         return found
                     received, notable = found
@@ -467,7 +466,7 @@ class TransactionGuard:
         except BusError as error:
             self._note_failure(error)
             raise
-        if not is_clear:
+        if self._pending.missing:
             self._pending.mark_superseded(ids)
         return GroupReplies(block, answers, notable, start)
 
@@ -636,9 +635,7 @@ class TransactionGuard:
 
         An urgent request has the same timeout outside of control cycles as within.
         """
-        times = self._times.get((kind, servos, size))
-        if times is None:
-            times = self._times[kind, servos, size] = self._request_times(kind, servos, size)
+        times = self._times.get((kind, servos, size)) or self._request_times(kind, servos, size)
         self._wire, timeout = times
         if self._is_relaxed and not is_urgent:
             timeout *= RELAXED_FACTOR
@@ -649,7 +646,7 @@ class TransactionGuard:
         return self._sample_clock()
 
     def _request_times(self, kind: Kind, servos: int, size: int) -> tuple[float, float]:
-        """Return the wire time of a request, and its reply timeout within a cycle [s]."""
+        """Store and return the wire time of a request, and its timeout within a cycle [s]."""
         wire = wire_time(
             self._protocol,
             kind,
@@ -658,7 +655,9 @@ class TransactionGuard:
             baudrate=self._baudrate,
             response_delay=self.response_delay,
         )
-        return wire, reply_timeout(wire, self.latency, self._cycle, self._reply_timeout_min)
+        timeout = reply_timeout(wire, self.latency, self._cycle, self._reply_timeout_min)
+        times = self._times[kind, servos, size] = wire, timeout
+        return times
 
     def _set_timeout(self, timeout: float) -> None:
         self._io.set_timeout(timeout)
