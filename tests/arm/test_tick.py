@@ -190,3 +190,35 @@ def test_a_filter_takes_times_of_joints_or_of_the_reading():
         positions.update(np.zeros(2), np.ones(3, dtype=bool), 1.0)
     with pytest.raises(pliant.OutOfRangeError, match=r"max_speed\[1\]"):
         PositionFilter([1.0, -1.0])
+
+
+def test_arrays_of_a_state_that_is_kept_do_not_change():
+    model = pliant.robots.so101()
+    size, chain = model.n + 1, list(range(model.n))
+    thermal = Budget().thermal_model(np.ones(size), None)
+    limiter = CommandLimiter(
+        model, model.servos, thermal, chain=chain, extra=("jaw",), kp=np.ones(size),
+        max_torque=np.ones(size), max_jumps=3, max_heat=1.0,
+    )  # fmt: skip
+    positions = PositionFilter(np.full(size, 100.0))
+    ok, zeros = np.ones(size, dtype=bool), np.zeros(size)
+
+    def state(cycle):
+        values = np.full(size, 0.001 * cycle)
+        readings = JointReadings(values, ok, 0.01 * cycle, values, values, values)
+        return limiter.update(positions, readings, zeros, zeros, 0.01, 0.01 * cycle)[0]
+
+    def arrays(state):
+        return [state.q, state.dq, state.load, state.current, state.age]
+
+    kept = [state(cycle) for cycle in range(5)]
+    views = [state(cycle).q[1:] for cycle in range(5, 10)]
+    for cycle in range(10, 20):
+        state(cycle)
+    for cycle, state_of_then in enumerate(kept):
+        for array in arrays(state_of_then)[:4]:
+            assert array.tolist() == [0.001 * cycle] * model.n
+    for cycle, view in enumerate(views, 5):
+        assert view.tolist() == [0.001 * cycle] * (model.n - 1)
+    # Nothing refers to the arrays of earlier states: three are in use.
+    assert len({id(state(cycle).q) for cycle in range(20, 40)}) == 3

@@ -160,3 +160,27 @@ def test_arguments_that_do_not_fit():
     for call in (servo.codec.sent, lambda i: servo.codec.record_sent(i, 1, 1, b"")):
         with pytest.raises(OutOfRangeError, match="servo = 1"):
             call(1)
+
+
+@pytest.mark.parametrize("model", ["STS3215-12V", "MX-64", "XL430-W250"])
+def test_a_block_shows_whether_the_registers_hold_the_last_command(model):
+    servo = device(model)
+    family, codec = servo.family, servo.codec
+    (address, size), packet = family.write_blocks[0], encode(servo, 0.2, 0.5, 1.0)[1][0]
+    torque_enable = family.registers["torque_enable"].address
+    first = min(address, torque_enable)
+    data = bytearray(max(address + size, torque_enable + 1) - first)
+    data[torque_enable - first] = 1
+    data[address - first : address - first + size] = packet
+    assert not codec.has_command(0, bytes(data), first), "no command was sent"
+    servo.record_sent(*encode(servo, 0.2, 0.5, 1.0)[0][:2], packet)
+    assert codec.has_command(0, bytes(data), first)
+    for i in {torque_enable - first, *range(address - first, address - first + size)}:
+        changed = bytearray(data)
+        changed[i] ^= 2
+        assert not codec.has_command(0, bytes(changed), first)
+    # Without the register Torque Enable there is nothing to compare.
+    assert codec.has_command(0, b"", first)
+    assert not codec.has_command(0, bytes(data[torque_enable - first :][:1]), torque_enable)
+    with pytest.raises(OutOfRangeError, match="servo"):
+        codec.has_command(1, bytes(data), first)

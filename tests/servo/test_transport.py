@@ -225,16 +225,26 @@ def test_a_command_encoded_with_its_packet_is_the_command_encoded_before_it():
 
 
 @pytest.mark.skipif(transport.sys.platform == "win32", reason="readings are decoded in Python")
-def test_no_reading_is_stored_unless_all_replies_are_valid():
+@pytest.mark.parametrize("at_once", [False, True])
+def test_no_reading_is_stored_unless_all_replies_are_valid(at_once):
     port = Answering()
     codec, family, block = codec_of_two()
     group = ServoGroup(port.io.serial, codec, [0, 1], [3, 5])
 
     def read():
         # A new guard, because a guard first waits for late replies after a failure.
-        guard = TransactionGuard(port.io, "p1", baudrate=1_000_000)
-        guard.start_cycle(1.0)
-        return guard.sync_decode([3, 5], [block], group, usual=True)
+        guard = TransactionGuard(port.io, "p1", baudrate=1_000_000, sample_clock=lambda: 0.01)
+        try:
+            if at_once:
+                guard.read_at_once(group, [3, 5], block, 9.0, 1.0)
+            else:
+                guard.start_cycle(1.0)
+                guard.sync_decode([3, 5], [block], group, 9.0, usual=True)
+        finally:
+            counters = guard.counters
+            assert (counters.transactions, counters.timeouts + counters.corrupt) in {(1, 1), (1, 0)}
+            assert guard._pending.missing.keys() == {3, 5}
+            assert not guard.is_clear
 
     def values():
         return [getattr(codec.joints([0, 1]), name).tolist() for name in READINGS]
@@ -258,6 +268,12 @@ def test_no_reading_is_stored_unless_all_replies_are_valid():
         read()
     assert (error.value.reason, error.value.id) == ("stale", 5)
     assert values() == before
+    port.reply = valid + packet(5, family.layout(block).encode({"position": 2001}))
+    guard = TransactionGuard(port.io, "p1", baudrate=1_000_000, sample_clock=lambda: 0.01)
+    found = guard.read_at_once(group, [3, 5], block, 9.0, 1.0)
+    assert isinstance(found, JointReadings)
+    assert guard.is_clear
+    assert values() == [getattr(found, name).tolist() for name in READINGS] != before
     port.close()
     with pytest.raises(OSError, match="serial port"):
         group.read(block, 0.05, 0.01, 9.0, True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from math import ceil
+from math import ceil, inf
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -138,6 +138,10 @@ class Port:
         self._silent: dict[int, int] = {}
         self.has_watchdog = any("watchdog" in device.family.registers for device in devices)
         self._read_groups = self._grouped(self.devices)
+        # The group of all servos, if its readings and its status can be read with one request.
+        first, *others = self._read_groups
+        has_one = first.sync_read and first.is_plain and first.read_with_status and not others
+        self._only_group = first if has_one else None
         self._changes, self._seen = self.devices[0].changes, -1
         # Groups of the servos with torque on, and True if these are all servos.
         self._write_groups: list[Group] = []
@@ -181,17 +185,36 @@ class Port:
             gone. If all readings are usual, and all servos of the bus are on this port and in one
             group, the readings of the joints.
         """
-        self.guard.start_cycle(budget)
         accepted: list[int] = []
-        groups = self._grouped(self.responsive) if self._silent else self._read_groups
+        group, guard = self._only_group, self.guard
         try:
-            for group in groups:
-                if group.sync_read:
-                    readings = self._read_group(group, accepted)
-                    if readings is not None:
-                        return readings
+            if (
+                group is not None
+                and group.core is not None
+                and group.last.has_new_status
+                and guard.is_clear
+                and not (self._misses or budget == inf)
+            ):
+                # Nearly every cycle: a reading without status, after a cycle without a failure.
+                try:
+                    found = guard.read_at_once(
+                        group.core, group.ids, group.read[0], self._restart, budget
+                    )
+                except BusError as error:
+                    self._read_again(group, error, accepted)
                 else:
-                    self._read_each(group, accepted)
+                    if isinstance(found, JointReadings):
+                        return found
+                    self._note_found(group, found, accepted)
+            else:
+                guard.start_cycle(budget)
+                for group in self._grouped(self.responsive) if self._silent else self._read_groups:
+                    if group.sync_read:
+                        readings = self._read_group(group, accepted)
+                        if readings is not None:
+                            return readings
+                    else:
+                        self._read_each(group, accepted)
             if self._silent:
                 self._probe(accepted)
         except BusError:
@@ -366,27 +389,41 @@ class Port:
                 group.ids, blocks, decoder, self._restart, usual=is_usual
             )
         except BusError as error:
-            error.raise_if_gone()
-            self._read_each(group, accepted, last=error.id, again=False)
+            self._read_again(group, error, accepted)
             return None
-        if isinstance(found, GroupReplies):
-            self._note_replies(group, found, accepted, has_decoder=decoder is not None)
-            return None
-        if has_status:
+        if has_status and not isinstance(found, GroupReplies):
             for device in group.devices:
                 device.note_command(device.time)
+        if isinstance(found, JointReadings):
+            return found
+        self._note_found(group, found, accepted, has_decoder=decoder is not None)
+        return None
+
+    def _read_again(self, group: Group, error: BusError, accepted: list[int]) -> None:
+        """Read servos one by one after the failure `error` of a request to all of them."""
+        error.raise_if_gone()
+        self._read_each(group, accepted, last=error.id, again=False)
+
+    def _note_found(
+        self,
+        group: Group,
+        found: GroupReplies | None,
+        accepted: list[int],
+        *,
+        has_decoder: bool = True,
+    ) -> None:
+        """Store the readings of a group; add the indices of plausible ones to `accepted`.
+
+        Args:
+            group: The servos.
+            found: Their replies; None: they are usual and stored.
+            accepted: List that gets the indices.
+            has_decoder: True if the core has stored the readings that need no look.
+        """
         if found is None:
             accepted += group.indices
-        return found
-
-    def _note_replies(
-        self, group: Group, replies: GroupReplies, accepted: list[int], *, has_decoder: bool
-    ) -> None:
-        """Store those readings of a group that need a look; add plausible ones to `accepted`.
-
-        `has_decoder` is True if the core has stored the other readings already.
-        """
-        block, answers, notable, time = replies
+            return
+        block, answers, notable, time = found
         if self._misses:
             for device, (data, status) in zip(group.devices, answers, strict=True):
                 self._accept(device, Reply(block, data, status, time), accepted)
@@ -518,8 +555,8 @@ class StatusPoller:
         self._joints = joints
         self._devices = [device for joint in joints for device in joint]
         self._steps = [(d, block) for d in self._devices for block in d.family.status_blocks]
-        self._reads_torque = any(d.family.status == "p2" for d in self._devices)
         self._next = 0
+        self._reads_torque = any(d.family.status == "p2" for d in self._devices)
         self._reported: set[int] = set()
         self._is_repeat = False
         self._block_index = self._count = 0
@@ -540,21 +577,22 @@ class StatusPoller:
         Raises:
             BusError: The port is gone.
         """
-        self._count += 1
-        if self._reads_torque and self._count % TORQUE_PERIOD == 0 and self._check_torque(ports):
-            return None
+        if self._reads_torque:
+            self._count += 1
+            if self._count % TORQUE_PERIOD == 0 and self._check_torque(ports):
+                return None
         if self._seen != self._changes.count:
             self._note_changes()
-        found = self._choose() if self._doubtful or self._reported else None
-        if found is None:
+        chosen = self._choose() if self._doubtful or self._reported else None
+        if chosen is None:
             self._is_repeat = False
-            found = self._steps[self._next]
+            chosen = self._steps[self._next]
             self._next = (self._next + 1) % len(self._steps)
-            if found[0].has_new_status:
-                found[0].has_new_status = False
-                joint = found[0].joint
-                return self._statuses.get(joint) or self._status(joint)
-        device, block = found
+            device = chosen[0]
+            if device.has_new_status:
+                device.has_new_status = False
+                return self._statuses.get(device.joint) or self._status(device.joint)
+        device, block = chosen
         guard = ports[id(device)].guard
         if guard.is_gone:
             return self._status(device.joint)

@@ -268,6 +268,13 @@ class Reply(NamedTuple):
     time: float
 
 
+if TYPE_CHECKING:
+    #: Result of `ServoGroup.read`.
+    _Decoded = (
+        JointReadings | tuple[list[tuple[bytes, int]] | bytes, list[tuple[int, bool | None]]] | None
+    )
+
+
 class GroupReplies(NamedTuple):
     """Replies of several servos to one request, whose readings the core has decoded.
 
@@ -435,40 +442,108 @@ class TransactionGuard:
             self._clear_line()
         try:
             block = self._choose(ids, blocks) if self._pending.missing else blocks[0]
-            start = self._prepare("sync_read", len(ids), block.size)
-            started = self._clock()
-            try:
-                answers: list[tuple[bytes, int]]
-                notable: list[tuple[int, bool | None]]
-                if decoder is None:
-                    answers, notable = self._io.sync_read(ids, block.address, block.size), []
-                else:
-                    try:
-                        found = decoder.read(
-                            block, self._timeout, start, longest, usual and block is blocks[0]
-                        )
-                    except OSError as error:
-                        raise self._io.lost(error) from error  # type: ignore[attr-defined]
-                    if not isinstance(found, tuple):
-                        if self._pending.missing:
-                            self._pending.mark_superseded(ids)
-                        return found
-                    received, notable = found
-                    if isinstance(received, bytes):
-                        received = self._io.broken(received, ids, block.size)  # type: ignore[attr-defined]
-                    answers = received
-                for id, (data, status) in zip(ids, answers, strict=True):
-                    if len(data) != block.size:
-                        raise _mismatch(id, block, data, status)
-            except BusError:
-                self._pending.add(ids, block.size, started)
-                raise
         except BusError as error:
             self._note_failure(error)
             raise
+        start = self._prepare("sync_read", len(ids), block.size)
+        started = self._clock()
+        found: _Decoded
+        try:
+            if decoder is None:
+                found = self._io.sync_read(ids, block.address, block.size), []
+            else:
+                is_usual = usual and block is blocks[0]
+                found = decoder.read(block, self._timeout, start, longest, is_usual)
+        except BusError as error:
+            self._note_missing(ids, block, started, error)
+            raise
+        except OSError as error:
+            raise self._lost(ids, block, started, error) from error
+        result = (
+            self._checked(ids, block, (start, started), found)
+            if isinstance(found, tuple)
+            else found
+        )
         if self._pending.missing:
             self._pending.mark_superseded(ids)
+        return result
+
+    @property
+    def is_clear(self) -> bool:
+        """True if the last request has not failed, and no reply is missing."""
+        return not (self._is_dirty or self.is_gone or self._pending.missing)
+
+    def read_at_once(
+        self, decoder: ServoGroup, ids: Sequence[int], block: Block, longest: float, budget: float
+    ) -> GroupReplies | JointReadings | None:
+        """Start a control cycle with a usual `sync_decode` of one block, if the line `is_clear`.
+
+        This is what happens in nearly every cycle, in as few steps as possible.
+
+        Raises:
+            BusError: At least one reply is missing or corrupt; nothing is stored.
+        """
+        started = self._clock()
+        self._deadline, self._is_relaxed = started + budget, False
+        key: tuple[Kind, int, int] = ("sync_read", len(ids), block.size)
+        self._wire, timeout = self._times.get(key) or self._request_times(*key)
+        self._reply_timeout = timeout
+        self.counters.transactions += 1
+        start = self._sample_clock()
+        try:
+            found = decoder.read(block, timeout, start, longest, True)
+        except OSError as error:
+            raise self._lost(ids, block, started, error) from error
+        if isinstance(found, tuple):
+            return self._checked(ids, block, (start, started), found)
+        return found
+
+    def _checked(
+        self,
+        ids: Sequence[int],
+        block: Block,
+        times: tuple[float, float],
+        found: tuple[list[tuple[bytes, int]] | bytes, list[tuple[int, bool | None]]],
+    ) -> GroupReplies:
+        """Return replies to a sync read, after a check that they have the length of the block.
+
+        Args:
+            ids: Ids of the servos.
+            block: Block that was requested.
+            times: Time of the request on the clock of the readings, and on that of timeouts [s].
+            found: The replies, or bytes that are no valid replies; see `GroupReplies.notable`.
+
+        Raises:
+            BusError: At least one reply is missing or corrupt.
+        """
+        received, notable = found
+        start, started = times
+        try:
+            answers: list[tuple[bytes, int]] = (
+                self._io.broken(received, ids, block.size)  # type: ignore[attr-defined]
+                if isinstance(received, bytes)
+                else received
+            )
+            for id, (data, status) in zip(ids, answers, strict=True):
+                if len(data) != block.size:
+                    raise _mismatch(id, block, data, status)
+        except BusError as error:
+            self._note_missing(ids, block, started, error)
+            raise
         return GroupReplies(block, answers, notable, start)
+
+    def _lost(self, ids: Sequence[int], block: Block, started: float, error: OSError) -> BusError:
+        """Note that a sync read has failed because of the port, and return the error to raise."""
+        failure: BusError = self._io.lost(error)  # type: ignore[attr-defined]
+        self._note_missing(ids, block, started, failure)
+        return failure
+
+    def _note_missing(
+        self, ids: Sequence[int], block: Block, started: float, error: BusError
+    ) -> None:
+        """Note that replies to a sync read, made at the time `started` [s], are missing."""
+        self._pending.add(ids, block.size, started)
+        self._note_failure(error)
 
     def write(self, id: int, address: int, data: bytes) -> int:
         """Write bytes to one servo, with retries; return the error byte of the reply."""
@@ -507,10 +582,12 @@ class TransactionGuard:
         """
         if self.is_gone:
             self.check_port()
-        for block in blocks:
-            self._prepare("sync_write", size, block.size)
+        key: tuple[Kind, int, int] = ("sync_write", size, blocks[-1].size)
+        self._wire, timeout = self._times.get(key) or self._request_times(*key)
+        self._reply_timeout = timeout * RELAXED_FACTOR if self._is_relaxed else timeout
+        self.counters.transactions += len(blocks)
         try:
-            encoder.write(blocks, self._timeout, *command)
+            encoder.write(blocks, self._reply_timeout, *command)
         except OSError as error:
             failure: BusError = self._io.lost(error)  # type: ignore[attr-defined]
             self._note_failure(failure)

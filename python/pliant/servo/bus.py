@@ -141,6 +141,8 @@ class ServoBus:
         self._reset()
         self._port_of: dict[int, Port] = {}
         self._ports: list[Port] = []
+        #: Ports with servos that have a bus watchdog.
+        self._watched_ports: list[Port] = []
         self._pool: ThreadPoolExecutor | None = None
         self._watchdog = 0.0
         # For a `closed_copy`, per path: longest delay of a reply [s], latency of the adapter [s],
@@ -262,7 +264,7 @@ class ServoBus:
         """Close the ports; the servos hold their last goal and limit."""
         for port in self._ports:
             port.close()
-        self._ports, self._port_of = [], {}
+        self._ports, self._watched_ports, self._port_of = [], [], {}
         if self._pool is not None:
             self._pool.shutdown()
             self._pool = None
@@ -412,6 +414,8 @@ class ServoBus:
         found: JointReadings | list[int]
         if self._pool is None:
             found = self._ports[0].read(self._budget)
+            if isinstance(found, JointReadings) and not self._doubled:
+                return found
         else:
             accepted = self._pool.map(lambda port: port.read(self._budget), self._ports)
             # A port has readings of all joints only if it is the only one.
@@ -475,12 +479,11 @@ class ServoBus:
             status = self._poller.step(self._port_of)
         except BusError:
             status = None
-        for port in self._ports:
-            if port.has_watchdog:
-                try:
-                    port.clear_watchdogs(port.devices)
-                except BusError:
-                    continue
+        for port in self._watched_ports:
+            try:
+                port.clear_watchdogs(port.devices)
+            except BusError:
+                continue
         for port in self._ports:
             if port.guard.is_gone:
                 self._report_lost_ports()
@@ -591,6 +594,8 @@ class ServoBus:
             clock=time.perf_counter if self.clock is None else self.clock.now,
         )
         self._ports.append(port)
+        if port.has_watchdog:
+            self._watched_ports.append(port)
         self._counters.append(port.guard.counters)
         self._port_of.update({id(device): port for device in devices})
         return port
