@@ -388,7 +388,7 @@ class Loop:
 
         The arm's supervisor thread runs meanwhile; the recorder is closed at the end.
         """
-        arm, clock = self._arm, self._arm.clock
+        arm, clock, shortest = self._arm, self._arm.clock, 0.1 * self.period
         last: float | None = None
         first: float | None = None
         with self._supervised():
@@ -406,7 +406,12 @@ class Loop:
                     if last is None or time - last > RESTART:
                         self._restart(state.q, first=last is None)
                         last = None
-                    dt = self.period if last is None else max(time - last, 0.1 * self.period)
+                    if last is None:
+                        dt = self.period
+                    elif time - last < shortest:
+                        dt = shortest
+                    else:
+                        dt = time - last
                     last = time
                     first = now if first is None else first
                     tick = Tick(self, state, dt, (now, first), index)

@@ -52,15 +52,17 @@ class ReadBack:
 
 
 class Changes:
-    """Number of changes of torque, status or faults of the servos of a bus.
+    """Numbers of changes of the servos of a bus: results stay valid while the number is the same.
 
-    As long as the number is the same, results that depend on them stay valid.
+    Attributes:
+        torque: Number of changes of `Device.enabled`.
+        status: Number of changes of torque, status or faults.
     """
 
-    __slots__ = ("count",)
+    __slots__ = ("status", "torque")
 
     def __init__(self) -> None:
-        self.count = 0
+        self.torque = self.status = 0
 
 
 class Device:
@@ -169,11 +171,12 @@ class Device:
     @enabled.setter
     def enabled(self, enabled: bool) -> None:
         self._enabled = enabled
-        self.changes.count += 1
+        self.changes.torque += 1
+        self.changes.status += 1
 
     def configure(self) -> None:
         """Pass changed registers, units and bounds to the codec."""
-        self.changes.count += 1
+        self.changes.status += 1
         row, units, torque_offset = self.row, self.units, self.spec.torque_offset
         uses_current = row.limit_type == "current"
         scale = (units.torque_per_unit, torque_offset) if uses_current else (units.load(1), 0.0)
@@ -349,7 +352,7 @@ class Device:
 
         `status_byte` is the status of the reply.
         """
-        self.changes.count += 1
+        self.changes.status += 1
         if status_byte or self.conditions:
             previous, self.conditions = self.conditions, status.conditions(self.family, status_byte)
             self.alerts += bool(set(self.conditions) - set(previous))
@@ -363,7 +366,7 @@ class Device:
             self._compare("goal", values["goal"], goal, time)
         if "torque_enable" in values:
             self.torque_on, self.torque_unknown = bool(values["torque_enable"]), False
-            went_off = (self.enabled or "torque" in self.other_faults) and not self.torque_on
+            went_off = (self._enabled or "torque" in self.other_faults) and not self.torque_on
             if went_off or self.other_faults:
                 self.fault("torque", went_off, "its torque went off by itself")
             if went_off:
@@ -381,7 +384,7 @@ class Device:
     @property
     def is_refusing(self) -> bool:
         """True if goals are known not to reach the servo, or to be rejected."""
-        return self.enabled and (self.tripped or self._read_backs["goal"].wrong >= MISMATCHES)
+        return self._enabled and (self.tripped or self._read_backs["goal"].wrong >= MISMATCHES)
 
     def set_voltage(self, volts: float, time: float) -> None:
         """Store the supply voltage [V], read at `time` [s], and update the unit conversions.
@@ -413,9 +416,9 @@ class Device:
         """Set the fault of the topic `key` with this text if `is_wrong`, else clear it."""
         if is_wrong:
             self.other_faults[key] = text
-            self.changes.count += 1
+            self.changes.status += 1
         elif self.other_faults.pop(key, None) is not None:
-            self.changes.count += 1
+            self.changes.status += 1
 
     @property
     def has_suspect_register(self) -> bool:
@@ -445,7 +448,7 @@ class Device:
             time: Time of the reading [s].
         """
         read_back = self._read_backs[key]
-        if not self.enabled or value == written:
+        if not self._enabled or value == written:
             read_back.wrong, read_back.matched = 0, time
         elif read_back.write != (write := self._sent[2]):
             read_back.wrong += 1

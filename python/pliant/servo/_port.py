@@ -238,7 +238,7 @@ class Port:
         if self._misses:
             self._misses.pop(device.id, None)
         silent = reply.time - device.time > self._restart
-        if device.enabled and silent and not self._check_restart(device):
+        if silent and device.enabled and not self._check_restart(device):
             return
         if device.accept(reply):
             accepted.append(device.index)
@@ -326,12 +326,11 @@ class Port:
             ShapeError, OutOfRangeError: See `ServoCodec.encode`; nothing was sent.
             BusError: A packet could not be sent.
         """
-        if self._seen != self._changes.count:
-            self._seen = self._changes.count
+        if self._seen != self._changes.torque:
+            self._seen = self._changes.torque
             enabled = [device for device in self.devices if device.enabled]
             self._drives_all = len(enabled) == len(self.devices)
-            if [device for group in self._write_groups for device in group.devices] != enabled:
-                self._write_groups = write_groups(enabled, self._serial)
+            self._write_groups = write_groups(enabled, self._serial)
         if not self._drives_all:
             self.devices[0].codec.encode([], *command)
         for group in self._write_groups:
@@ -581,7 +580,7 @@ class StatusPoller:
             self._count += 1
             if self._count % TORQUE_PERIOD == 0 and self._check_torque(ports):
                 return None
-        if self._seen != self._changes.count:
+        if self._seen != self._changes.status:
             self._note_changes()
         chosen = self._choose() if self._doubtful or self._reported else None
         if chosen is None:
@@ -650,7 +649,7 @@ class StatusPoller:
 
     def _note_changes(self) -> None:
         """Find the servos with a fault again, and discard the statuses."""
-        self._seen = self._changes.count
+        self._seen = self._changes.status
         self._statuses.clear()
         self._doubtful = [
             device
@@ -660,7 +659,7 @@ class StatusPoller:
 
     def _status(self, joint: int) -> ServoStatus:
         """Return the status of a joint; the same object as long as there are no changes."""
-        if self._seen != self._changes.count:
+        if self._seen != self._changes.status:
             self._note_changes()
         status = self._statuses.get(joint)
         if status is None:

@@ -3,7 +3,7 @@
 use pliant_core::arm::LimiterInput;
 use pliant_core::{CommandLimiter as CoreLimiter, MAX_JOINTS};
 use pyo3::prelude::*;
-use pyo3::types::{PyDict, PyTuple};
+use pyo3::types::{PyBool, PyDict, PyFloat, PyTuple};
 
 use crate::arguments;
 use crate::error::{OrRaise, shape, tuple};
@@ -141,7 +141,6 @@ impl CommandLimiter {
 
     #[doc = stub!(CommandLimiter.update)]
     #[pyo3(signature = (positions, readings, goal, limit, dt, now))]
-    #[expect(clippy::too_many_arguments, reason = "a reading and the command in force")]
     fn update(
         &mut self,
         positions: &Bound<'_, PositionFilter>,
@@ -209,8 +208,8 @@ impl CommandLimiter {
         let state = State {
             q: of_chain(py, &self.core, filter.position(), of_q).unbind(),
             dq,
-            time: oldest,
-            fresh: is_fresh,
+            time: PyFloat::new(py, oldest).unbind(),
+            fresh: PyBool::new(py, is_fresh).to_owned().unbind(),
             extra: extra.into_any().unbind(),
             age: of_age.take(py, &age[..chain.len()]).unbind(),
             load,

@@ -1,12 +1,13 @@
 //! Python class `State`: the state of an arm in one control cycle.
 
 use pyo3::prelude::*;
-use pyo3::types::{PyDict, PyTuple};
+use pyo3::types::{PyBool, PyDict, PyFloat, PyTuple};
 
 use crate::ndarray::new_array;
 
 type Object = Py<PyAny>;
 
+// Attributes that are Python objects are read without a call.
 #[doc = stub!(State)]
 #[pyclass(module = "pliant.drive", frozen, get_all)]
 #[derive(Debug)]
@@ -16,9 +17,9 @@ pub(crate) struct State {
     #[doc = stub!(State.dq)]
     pub(crate) dq: Option<Object>,
     #[doc = stub!(State.time)]
-    pub(crate) time: f64,
+    pub(crate) time: Py<PyFloat>,
     #[doc = stub!(State.fresh)]
-    pub(crate) fresh: bool,
+    pub(crate) fresh: Py<PyBool>,
     #[doc = stub!(State.extra)]
     pub(crate) extra: Object,
     #[doc = stub!(State.age)]
@@ -67,6 +68,7 @@ impl State {
         };
         let extra = extra.unwrap_or_else(|| PyDict::new(py).into_any().unbind());
         let faults = faults.unwrap_or_else(|| PyTuple::empty(py).unbind());
+        let (time, fresh) = (PyFloat::new(py, time).unbind(), PyBool::new(py, fresh).to_owned().unbind());
         Ok(Self { q, dq, time, fresh, extra, age, load, current, voltage, temperature, faults })
     }
 
