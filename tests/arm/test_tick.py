@@ -1,6 +1,7 @@
 """Number of calls per tick, and command limits compared with a computation in NumPy."""
 
 import importlib
+import pickle
 from pathlib import Path
 
 import numpy as np
@@ -8,12 +9,12 @@ import pytest
 
 import pliant
 from pliant._core import SUPPORT, CommandLimiter, JointReadings, PositionFilter, torque_margin
-from pliant.arm import Budget
+from pliant.arm import Budget, State
 
 BENCHES = Path(__file__).resolve().parents[2] / "benches"
 #: Largest number of calls per tick, and of those of functions written in Python. A count needs no
 #: idle machine; Python versions and NumPy differ by some calls.
-CALLS = {"null": (80, 45), "so101": (125, 55)}
+CALLS = {"null": (55, 35), "so101": (75, 32)}
 
 
 @pytest.fixture
@@ -222,3 +223,27 @@ def test_arrays_of_a_state_that_is_kept_do_not_change():
         assert view.tolist() == [0.001 * cycle] * (model.n - 1)
     # Nothing refers to the arrays of earlier states: three are in use.
     assert len({id(state(cycle).q) for cycle in range(20, 40)}) == 3
+
+
+def test_states_and_readings_can_be_copied_with_changes():
+    q = np.array([0.1, 0.2])
+    state = State(q, time=3.0, extra={"jaw": 0.5}, voltage=np.array([7.0, 7.1]))
+    assert state.q is q
+    assert (state.dq, state.time, state.fresh, state.faults) == (None, 3.0, True, ())
+    assert state.age.tolist() == [0.0, 0.0]
+    assert State(q).extra == {}
+    hot = state.replace(faults=("hot",), fresh=False)
+    assert (hot.faults, hot.fresh, hot.extra) == (("hot",), False, {"jaw": 0.5})
+    assert (state.faults, state.fresh) == ((), True)
+    copy = pickle.loads(pickle.dumps(hot))
+    assert repr(copy) == repr(hot)
+    assert "faults=('hot',)" in repr(hot)
+    with pytest.raises(AttributeError):
+        state.time = 1.0
+    with pytest.raises(TypeError, match="speed"):
+        state.replace(speed=1.0)
+    readings = JointReadings(q, np.array([True, False]), 1.0, current=2.0 * q)
+    copy = pickle.loads(pickle.dumps(readings))
+    assert copy.position.tolist() == q.tolist()
+    assert (copy.ok.tolist(), copy.time, copy.velocity) == ([True, False], 1.0, None)
+    assert copy.current.tolist() == [0.2, 0.4]
