@@ -56,7 +56,7 @@ from pliant.loop import LatenessHistogram
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    #: Requests of a tick: methods of a transport with their arguments.
+    #: Requests of a tick: methods of a transport, or of rustypot, with their arguments.
     Requests = list[tuple[Callable[..., Any], tuple[Any, ...]]]
 
 RATE = 100.0
@@ -80,13 +80,13 @@ STAGES = {
 }
 #: Stage of the transactions of rustypot that a stage makes.
 TRANSACTIONS = {"decode": "read bytes", "encode": "write bytes", "status": "status bytes"}
+#: Methods of rustypot.
+SYNC_READ, SYNC_WRITE = "sync_read_raw_data_with_error", "sync_write_raw_data"
 #: Methods of a transport that make the transactions of a tick, and those of rustypot.
 CALLS = {
     "read": "read_raw_data_with_error",
-    "sync_read": "sync_read_raw_data_with_error",
-    "sync_decode": "sync_read_raw_data_with_error",
-    "sync_write": "sync_write_raw_data",
-    "sync_encode": "sync_write_raw_data",
+    "sync_read": SYNC_READ,
+    "sync_write": SYNC_WRITE,
     "write": "write_raw_data_with_error",
 }
 
@@ -223,15 +223,26 @@ class Rig:
         self.whole, self.staged, self.logged, self.bare = Sum(), Sum(), Sum(), Sum()
         self.vendor: Sum | None = None
         self.lerobot: Sum | None = None
+        #: Requests of rustypot in the last tick of `replay`.
         self.last: Requests = []
         self.lateness = LatenessHistogram()
         self.requests = 0.0
         self.calls = self.python_calls = self.memory = 0.0
 
     @property
-    def guards(self) -> list[Any]:
-        """The objects that use the transports of the servo bus; empty for a drive without ports."""
-        return [port.guard for port in getattr(self.arm.drive, "_ports", [])]
+    def ports(self) -> list[Any]:
+        """The ports of the servo bus; empty for a drive without ports."""
+        return getattr(self.arm.drive, "_ports", [])
+
+    @property
+    def groups(self) -> list[tuple[Any, Any]]:
+        """Groups of servos whose requests the core makes, with their transport."""
+        return [
+            (group, port.guard._io)
+            for port in self.ports
+            for group in (*port._read_groups, *port._write_groups)
+            if group.core is not None
+        ]
 
     def ticks(
         self,
@@ -253,8 +264,7 @@ class Rig:
             elif tick.index == WARM + BLOCK:
                 end()
                 break
-        self.lateness.counts += loop.lateness.counts
-        self.lateness.largest = max(self.lateness.largest, loop.lateness.largest)
+        self.lateness.add_all(loop.lateness)
         turns.close()  # type: ignore[attr-defined]
 
     def measure(self, sums: Sum, *, recorder: Any = None) -> None:
@@ -309,7 +319,9 @@ class Rig:
 
         with self._instrumented(recorded):
             self.ticks(note, lambda: None, each=note)
-        converted = [[bare(call, args) for call, args in tick] for tick in ticks[:BLOCK]]
+        converted = [
+            [self.of_rustypot(call, args) for call, args in tick] for tick in ticks[:BLOCK]
+        ]
         deadline = time.perf_counter()
         started = clocks()
         for requests in converted:
@@ -318,7 +330,31 @@ class Rig:
             for call, args in requests:
                 call(*args)
         self.bare.add(started, BLOCK)
-        self.last = ticks[BLOCK - 1]
+        self.last = converted[-1]
+
+    def of_rustypot(self, call: Callable[..., Any], args: tuple[Any, ...]) -> Any:
+        """Return the method of rustypot and its arguments for a recorded request."""
+        owner: Any = call.__self__  # type: ignore[attr-defined]
+        for group, transport in self.groups:
+            if owner is not group.core:
+                continue
+            if call.__name__ == "read":
+                return getattr(transport._io, SYNC_READ), (list(group.ids), *args[0])
+            # Families with a codec write one block.
+            blocks, _, *command = args
+            rows = group.devices[0].codec.encode(group.indices, *command)[3]
+            data = [list(row) for row in rows]
+            return getattr(transport._io, SYNC_WRITE), (list(group.ids), blocks[0].address, data)
+        convert = {
+            "write": lambda id, address, data: (id, address, list(data)),
+            "sync_read": lambda ids, address, size: (list(ids), address, size),
+            "sync_write": lambda ids, address, data: (
+                list(ids),
+                address,
+                [list(row) for row in data],
+            ),
+        }.get(call.__name__, lambda *rest: rest)
+        return getattr(owner._io, CALLS[call.__name__]), convert(*args)
 
     def count(self) -> None:
         """Count the function calls of each tick, and measure its peak memory [bytes].
@@ -391,9 +427,14 @@ class Rig:
                 stack.enter_context(replaced(owner, name, timed(getattr(owner, name), stage)))
             step = {"step": timed(self.controller.step, "step")}
             stack.enter_context(replaced(self, "controller", Wrapped(self.controller, step)))
-            for guard in self.guards:
-                calls = {name: timed(getattr(guard._io, name), "bytes") for name in CALLS}
-                stack.enter_context(replaced(guard, "_io", Wrapped(guard._io, calls)))
+            for group, _ in self.groups:
+                core = group.core
+                calls = {name: timed(getattr(core, name), "bytes") for name in ("read", "write")}
+                stack.enter_context(replaced(group, "core", Wrapped(core, calls)))
+            for port in self.ports:
+                io = port.guard._io
+                calls = {name: timed(getattr(io, name), "bytes") for name in CALLS}
+                stack.enter_context(replaced(port.guard, "_io", Wrapped(io, calls)))
             yield
 
 
@@ -409,24 +450,6 @@ def replaced(owner: Any, name: str, value: Any) -> Iterator[None]:
             delattr(owner, name)
         else:
             setattr(owner, name, before)
-
-
-def bare(call: Callable[..., Any], args: tuple[Any, ...]) -> Any:
-    """Return the method of rustypot and its arguments for a request of a transport."""
-    transport: Any = call.__self__  # type: ignore[attr-defined]
-    convert = {
-        "write": lambda id, address, data: (id, address, list(data)),
-        "sync_read": lambda ids, address, size: (list(ids), address, size),
-        "sync_decode": lambda ids, block, *_: (list(ids), *block),
-        "sync_write": lambda ids, address, data: (list(ids), address, [list(row) for row in data]),
-        # Families with a codec write one block.
-        "sync_encode": lambda ids, blocks, codec, servos, command: (
-            list(ids),
-            blocks[0].address,
-            [list(row) for row in codec.encode(servos, *command)[3]],
-        ),
-    }.get(call.__name__, lambda *rest: rest)
-    return getattr(transport._io, CALLS[call.__name__]), convert(*args)
 
 
 @contextmanager
@@ -475,7 +498,7 @@ def vendor(name: str, requests: Requests, rounds: int) -> Sum | None:
 
     Args:
         name: Name of the arm.
-        requests: Requests of one tick of pliant; the SDK makes those that are sync requests.
+        requests: Requests of one tick; the SDK makes those that are sync requests.
         rounds: Number of blocks.
 
     Returns:
@@ -485,16 +508,8 @@ def vendor(name: str, requests: Requests, rounds: int) -> Sum | None:
     if found is None:
         return None
     module, protocol = found
-    reads, address, size = next(
-        bare(call, args)[1]
-        for call, args in requests
-        if call.__name__ in {"sync_read", "sync_decode"}
-    )
-    ids, start, data = next(
-        bare(call, args)[1]
-        for call, args in requests
-        if call.__name__ in {"sync_write", "sync_encode"}
-    )
+    reads, address, size = next(args for call, args in requests if call.__name__ == SYNC_READ)
+    ids, start, data = next(args for call, args in requests if call.__name__ == SYNC_WRITE)
     total = Sum()
     with EmulatorProcess(make_emulator, config.load(name)) as emulator:
         port, packets = module.PortHandler(emulator.port), module.PacketHandler(protocol)
@@ -569,7 +584,7 @@ def run(names: Sequence[str], rounds: int) -> list[Rig]:
             for turn in range(rounds):
                 rig.measure(rig.whole)
                 rig.measure_stages()
-                if rig.guards:
+                if rig.ports:
                     rig.replay()
                 rig.renew()
                 rig.measure(rig.logged, recorder=Recorder(Path(folder) / f"{turn}.mcap"))
@@ -721,8 +736,7 @@ def lateness(seconds: float, *, load: int) -> str:
                 for tick in loop:
                     tick.step(rig.target)
                 end()
-                found[name].counts += loop.lateness.counts
-                found[name].largest = max(found[name].largest, loop.lateness.largest)
+                found[name].add_all(loop.lateness)
     finally:
         for process in busy:
             process.kill()

@@ -120,8 +120,7 @@ def run(combination: Combination, link: Link | None, seconds: float, folder: Pat
     )
     session.run(1)
     assert session.loop is not None
-    combination.late.counts += session.loop.lateness.counts
-    combination.late.largest = max(combination.late.largest, session.loop.lateness.largest)
+    combination.late.add_all(session.loop.lateness)
     combination.missed += session.loop.missed
     combination.sent += timed_link.sent
     combination.seconds += (len(session.loop.lateness) + session.loop.missed) / RATE

@@ -32,6 +32,7 @@ __all__ = [
     "Issue",
     "Joint",
     "JointFollower",
+    "JointReadings",
     "JointStop",
     "Link",
     "Lowering",
@@ -45,13 +46,16 @@ __all__ = [
     "Pose",
     "PoseReport",
     "PositionFilter",
+    "SerialPort",
     "ServoCodec",
     "ServoError",
     "ServoFaultError",
+    "ServoGroup",
     "ServoTimeoutError",
     "Servos",
     "Settings",
     "ShapeError",
+    "State",
     "Task",
     "ThermalModel",
     "TorqueLimits",
@@ -65,7 +69,6 @@ __all__ = [
     "check_path",
     "compliance",
     "damped_pseudo_inverse",
-    "exchange",
     "holding_torque",
     "joint_torque_limits",
     "null_space_projector",
@@ -2786,35 +2789,218 @@ class Lowering:
         """
 
 if sys.platform != "win32":
-    def exchange(
-        descriptor: int,
-        instruction: int,
-        ids: Sequence[int],
-        block: tuple[int, int],
-        data: list[bytes] | None,
-        timeout: float,
-    ) -> list[tuple[bytes, int]] | bytes:
-        """Send a request of Protocol 1.0 and return the replies; releases the interpreter lock.
+    @final
+    class SerialPort:
+        """Open serial port with servos of Protocol 1.0.
 
-        Bytes received before a request with replies are discarded.
+        Requests release the interpreter lock. Threads may use a port at the same time: each request
+        waits for the end of the one before.
 
         Args:
-            descriptor: File descriptor of the serial port.
-            instruction: Read (2), sync read (130) or sync write (131).
-            ids: Ids of the servos, in the order in which they reply.
-            block: Address of the first register, and number of bytes.
-            data: Bytes to write to each servo, which then do not reply; None: read.
-            timeout: Longest silence before the replies and within them [s].
-
-        Returns:
-            Pairs of data and status byte, one per servo. If a servo has not sent a valid packet of
-            the expected size, the bytes received until then instead.
-
-        Raises:
-            OSError: The port has vanished.
-            ValueError: The request is longer than the protocol allows, or data do not have the
-                size of the block.
+            descriptor: File descriptor of the port; its owner closes it after `close`.
         """
+
+        def __new__(cls, descriptor: int) -> SerialPort: ...
+        @property
+        def closed(self) -> bool:
+            """True after `close`."""
+
+        def close(self) -> None:
+            """Wait until no request uses the port; later ones raise `OSError`."""
+
+        def exchange(
+            self,
+            instruction: int,
+            ids: Sequence[int],
+            block: tuple[int, int],
+            data: list[bytes] | None,
+            timeout: float,
+        ) -> list[tuple[bytes, int]] | bytes:
+            """Send a request and return the replies.
+
+            Bytes received before a request with replies are discarded.
+
+            Args:
+                instruction: Read (2), sync read (130) or sync write (131).
+                ids: Ids of the servos, in the order in which they reply.
+                block: Address of the first register, and number of bytes.
+                data: Bytes to write to each servo, which then do not reply; None: read.
+                timeout: Longest silence before the replies and within them [s].
+
+            Returns:
+                Pairs of data and status byte, one per servo. If a servo has not sent a valid packet
+                of the expected size, the bytes received until then instead.
+
+            Raises:
+                OSError: The port has vanished, or is closed.
+                ValueError: The request is longer than the protocol allows, or data do not have the
+                    size of the block.
+            """
+
+    @final
+    class ServoGroup:
+        """Servos on one port whose registers one request of Protocol 1.0 reads or writes.
+
+        Args:
+            port: The port.
+            codec: Codec of the servos.
+            servos: Their indices in the codec.
+            ids: Their ids on the bus.
+        """
+
+        def __new__(
+            cls, port: SerialPort, codec: ServoCodec, servos: Sequence[int], ids: Sequence[int]
+        ) -> ServoGroup: ...
+        def read(
+            self, block: tuple[int, int], timeout: float, time: float, longest: float, usual: bool
+        ) -> (
+            JointReadings
+            | tuple[list[tuple[bytes, int]] | bytes, list[tuple[int, bool | None]]]
+            | None
+        ):
+            """Make a sync read, and store the readings.
+
+            Args:
+                block: Address and size of the registers.
+                timeout: Longest silence [s].
+                time: Time of the request [s].
+                longest: Age of the last reading above which a reading is not stored [s].
+                usual: True: return no bytes if they need no look. No reading needs attention then,
+                    and if the block contains the register Torque Enable, torque of all servos is on
+                    and the first packet of their last command is in their registers.
+
+            Returns:
+                The results of `SerialPort.exchange` and `ServoCodec.decode`. Nothing is stored
+                unless all replies are valid. If the bytes need no look: the readings of all joints,
+                or None if the codec has further servos.
+
+            Raises:
+                OSError: The port has vanished, or is closed.
+            """
+
+        def write(
+            self,
+            blocks: Sequence[tuple[int, int]],
+            timeout: float,
+            goal: ArrayLike,
+            limit: ArrayLike,
+            velocity: ArrayLike | None,
+            max_speed: float,
+        ) -> None:
+            """Encode a command, make a sync write per block, and record the command.
+
+            Args:
+                blocks: Address and size of each packet.
+                timeout: Longest time in which the port takes no bytes [s].
+                goal: See `ServoCodec.encode`, as for limit, velocity and max_speed.
+                limit: Torque limits (n,) [N m].
+                velocity: Largest speeds (n,) [rad/s].
+                max_speed: Upper bound of the speeds [rad/s].
+
+            Raises:
+                ShapeError, OutOfRangeError: See `ServoCodec.encode`; nothing was sent.
+                ValueError: A block has another size than the packet; nothing is recorded.
+                TimeoutError, OSError: The port takes no bytes, has vanished or is closed; nothing
+                    is recorded.
+            """
+
+@final
+class State:
+    """State of an arm in one control cycle; the n joints are those of the chain, base to tip.
+
+    `dq`, `load` and `current` are None if the servos do not report them.
+
+    Args:
+        q: Joint positions (n,) [rad]; a joint without a new reading keeps its last position.
+        dq: Joint velocities as the servos report them (n,) [rad/s].
+        time: Sample time of the oldest of the positions, on the arm's clock [s].
+        fresh: True if the positions of all joints were read in this cycle.
+        extra: Positions by name of the joints outside the chain, such as a gripper [rad]; None:
+            there are none.
+        age: Time since each position was sampled (n,) [s]; None: 0.
+        load: Torque as each servo estimates it (n,) [N m].
+        current: Current of each servo (n,) [A].
+        voltage: Supply voltage at each servo (n,) [V]; NaN before the first reading.
+        temperature: Temperature of each servo (n,) [deg C]; NaN before the first reading.
+        faults: Present faults, one sentence each; empty if healthy.
+    """
+
+    def __new__(
+        cls,
+        q: _Array,
+        dq: _Array | None = None,
+        time: float = 0.0,
+        fresh: bool = True,
+        extra: Mapping[str, float] | None = None,
+        age: _Array | None = None,
+        load: _Array | None = None,
+        current: _Array | None = None,
+        voltage: _Array | None = None,
+        temperature: _Array | None = None,
+        faults: tuple[str, ...] | None = None,
+    ) -> State: ...
+    @property
+    def q(self) -> _Array: ...
+    @property
+    def dq(self) -> _Array | None: ...
+    @property
+    def time(self) -> float: ...
+    @property
+    def fresh(self) -> bool: ...
+    @property
+    def extra(self) -> Mapping[str, float]: ...
+    @property
+    def age(self) -> _Array: ...
+    @property
+    def load(self) -> _Array | None: ...
+    @property
+    def current(self) -> _Array | None: ...
+    @property
+    def voltage(self) -> _Array | None: ...
+    @property
+    def temperature(self) -> _Array | None: ...
+    @property
+    def faults(self) -> tuple[str, ...]: ...
+    def replace(self, **changes: Any) -> State:
+        """Return a state with these attributes changed."""
+
+@final
+class JointReadings:
+    """One reading of all N joints of a drive, in the order of `Drive.names`.
+
+    In `velocity`, `load` and `current`, NaN marks a servo that does not report the value.
+
+    Args:
+        position: Positions (N,) [rad]; undefined where `ok` is False.
+        ok: Mask (N,) of the positions that were read in this cycle.
+        time: Sample times on the drive's clock [s]: (N,), or one number for all.
+        velocity: Velocities as the servos report them (N,) [rad/s]; None: not reported.
+        load: Torques that the servos estimate from PWM duty or current (N,) [N m]; None: not
+            reported.
+        current: Motor currents (N,) [A]; None: not reported.
+    """
+
+    def __new__(
+        cls,
+        position: _Array,
+        ok: NDArray[np.bool_],
+        time: _Array | float,
+        velocity: _Array | None = None,
+        load: _Array | None = None,
+        current: _Array | None = None,
+    ) -> JointReadings: ...
+    @property
+    def position(self) -> _Array: ...
+    @property
+    def ok(self) -> NDArray[np.bool_]: ...
+    @property
+    def time(self) -> _Array | float: ...
+    @property
+    def velocity(self) -> _Array | None: ...
+    @property
+    def load(self) -> _Array | None: ...
+    @property
+    def current(self) -> _Array | None: ...
 
 #: Ratio of the torque limit to the gravity torque of an arm that is held without a controller.
 SUPPORT: Final[float]
@@ -3039,19 +3225,19 @@ class ServoCodec:
         Args:
             servo: Index of the servo.
             joint: Index of the joint.
-            numbers: 51 numbers. Address, size and sign of 9 registers: position, speed, load,
-                current, voltage, temperature, goal, limit, speed cap (size 0: there is none; sign
-                0: unsigned, -1: two's complement, else value of the sign bit). Address and size of
-                2 packets (size 0: there is none). 20 units and bounds: position at angle 0
-                [counts]; sign; angle of a count [rad]; velocity of a unit [rad/s]; measured torque
-                of a unit, torque lost in the gears [N m]; 1 if the current measures the torque,
-                else 0; current of a unit [A]; limit of a unit, torque lost in the gears [N m];
-                largest limit and its torque [N m]; largest speed cap; speed without load [rad/s];
-                smallest and largest goal, largest position, turn (0: no wrap-around) [counts]; 1
-                if goals may exceed a turn, else 0; smallest usual voltage.
+            numbers: 54 numbers. Address, size and sign of 10 registers: position, speed, load,
+                current, voltage, temperature, goal, limit, speed cap, torque enable (size 0: there
+                is none; sign 0: unsigned, -1: two's complement, else value of the sign bit).
+                Address and size of 2 packets (size 0: there is none). 20 units and bounds: position
+                at angle 0 [counts]; sign; angle of a count [rad]; velocity of a unit [rad/s];
+                measured torque of a unit, torque lost in the gears [N m]; 1 if the current measures
+                the torque, else 0; current of a unit [A]; limit of a unit, torque lost in the gears
+                [N m]; largest limit and its torque [N m]; largest speed cap; speed without load
+                [rad/s]; smallest and largest goal, largest position, turn (0: no wrap-around)
+                [counts]; 1 if goals may exceed a turn, else 0; smallest usual voltage.
 
         Raises:
-            ShapeError, OutOfRangeError: Not 51 numbers, or no such servo or joint.
+            ShapeError, OutOfRangeError: Not 54 numbers, or no such servo or joint.
         """
 
     def decode(
@@ -3081,46 +3267,11 @@ class ServoCodec:
             ShapeError: The bytes do not contain the position.
         """
 
-    if sys.platform != "win32":
-        def read(
-            self,
-            descriptor: int,
-            servos: Sequence[int],
-            ids: Sequence[int],
-            block: tuple[int, int],
-            timeout: float,
-            time: float,
-            longest: float,
-            usual: bool,
-        ) -> tuple[list[tuple[bytes, int]] | bytes, list[tuple[int, bool | None]]] | None:
-            """Make a sync read of Protocol 1.0, and store the readings.
+    def joints(self, read: Sequence[int]) -> JointReadings:
+        """Return the readings of all joints; `ok` is True where all servos are among `read`.
 
-            Args:
-                descriptor: See `exchange`, as for ids, block and timeout.
-                servos: See `decode`, as for time and longest.
-                ids: Ids of the servos.
-                block: Address and size.
-                timeout: Longest silence [s].
-                time: Time of the request [s].
-                longest: Largest age of the last reading [s].
-                usual: True: return None if no reading needs attention.
-
-            Returns:
-                The results of `exchange` and `decode`. Nothing is stored unless all replies are
-                valid.
-
-            Raises:
-                OSError: The port has vanished.
-            """
-
-    def joints(
-        self, read: Sequence[int]
-    ) -> tuple[_Array, _Array, _Array, _Array, _Array, NDArray[np.bool_]]:
-        """Return position [rad], time [s], velocity [rad/s], torque [N m], current [A] and a mask.
-
-        They are arrays (n,). The mask is True for joints whose servos all are among `read`. For a
-        joint with two servos, position and velocity are those of the first servo, time is the older
-        one, torque the mean and current the sum.
+        For a joint with two servos, position and velocity are those of the first servo, time is the
+        older one, load the mean and current the sum.
         """
 
     def encode(
@@ -3151,38 +3302,19 @@ class ServoCodec:
                 among `servos`.
         """
 
-    if sys.platform != "win32":
-        def write(
-            self,
-            descriptor: int,
-            servos: Sequence[int],
-            ids: Sequence[int],
-            blocks: Sequence[tuple[int, int]],
-            goal: ArrayLike,
-            limit: ArrayLike,
-            velocity: ArrayLike | None,
-            max_speed: float,
-            timeout: float,
-        ) -> None:
-            """Encode a command, send a sync write of Protocol 1.0 per block, and record it.
+    def has_command(self, servo: int, data: bytes, address: int) -> bool:
+        """Return False if registers of a servo show that torque is off, or another command.
 
-            Args:
-                descriptor: See `exchange`, as for ids and timeout.
-                servos: See `encode`, as for goal, limit, velocity and max_speed.
-                ids: Ids of the servos.
-                blocks: Address and size of each packet.
-                goal: Goals (n,) [rad].
-                limit: Torque limits (n,) [N m].
-                velocity: Largest speeds (n,) [rad/s].
-                max_speed: Upper bound of the speeds [rad/s].
-                timeout: Longest time in which the port takes no bytes [s].
+        Args:
+            servo: Index of the servo.
+            data: Bytes from `address` on. The result is True if they do not contain the register
+                Torque Enable, else if it is 1 and the bytes of the last command's first packet
+                follow from `data`; False if that packet is unknown.
+            address: Address of the first byte.
 
-            Raises:
-                ShapeError, OutOfRangeError: See `encode`; nothing was sent.
-                ValueError: A block has another size than the packet; nothing is recorded.
-                TimeoutError, OSError: The port takes no bytes, or has vanished; nothing is
-                    recorded.
-            """
+        Raises:
+            OutOfRangeError: There is no such servo.
+        """
 
     def record_sent(self, servo: int, goal: int | None, limit: int, packet: bytes) -> None:
         """Record that a command was sent to a servo.
@@ -3237,8 +3369,11 @@ class CommandLimiter:
         servos: Servo parameters of the chain, n entries.
         thermal: Thermal model of the N servos.
         chain: Index in the drive of each joint of the chain (n,).
+        extra: Names of the other joints (N - n,).
         kp: Stiffness of all joints (N,) [N m/rad].
         max_torque: Usable torques of all joints (N,) [N m].
+        max_jumps: Number of implausible positions in a row from which on a joint is faulty.
+        max_heat: Heat above which a servo is too hot.
 
     Raises:
         ShapeError, ConfigError: Lengths differ, an index is invalid, or a stiffness is not above 0.
@@ -3251,9 +3386,15 @@ class CommandLimiter:
         thermal: ThermalModel,
         *,
         chain: Sequence[int],
+        extra: tuple[str, ...],
         kp: ArrayLike,
         max_torque: ArrayLike,
+        max_jumps: int,
+        max_heat: float,
     ) -> CommandLimiter: ...
+    def set_supply(self, voltage: _Array, temperature: _Array) -> None:
+        """Set supply voltages (n,) [V] and temperatures (n,) [deg C] of the next states."""
+
     def unreachable(self, goal: ArrayLike) -> int | None:
         """Return the joint whose goal is so far outside its limits that its unit must be wrong.
 
@@ -3297,46 +3438,26 @@ class CommandLimiter:
     def update(
         self,
         positions: PositionFilter,
-        position: ArrayLike,
-        ok: NDArray[np.bool_],
-        time: ArrayLike,
-        velocity: ArrayLike | None,
-        load: ArrayLike | None,
-        current: ArrayLike | None,
-        *,
+        readings: JointReadings,
         goal: ArrayLike,
         limit: ArrayLike,
         dt: float,
         now: float,
-        max_jumps: int,
-        max_heat: float,
-    ) -> tuple[
-        bool, _Array, float, list[float], _Array, _Array | None, _Array | None, _Array | None, bool
-    ]:
+    ) -> tuple[State, bool]:
         """Filter the positions of a reading, and update the heat with the torques since the last.
 
         Args:
-            positions: Filter of the N joints, which gets `position`, `ok` and `time`.
-            position: Positions (N,) [rad]; any number where `ok` is False.
-            ok: Mask (N,) of the positions that were read.
-            time: Sample times [s]: (N,), or one number for all.
-            velocity: Measured velocities (N,) [rad/s], or None.
-            load: Measured torques (N,) [N m]. For entries that are not finite, and for None, the
-                torque is estimated as ``min(k_p |goal - position|, limit)``.
-            current: Measured currents (N,) [A], or None.
+            positions: Filter of the N joints, which gets the positions of the reading.
+            readings: Reading of the N joints. Where its load is not finite, or None, the torque is
+                estimated as ``min(k_p |goal - position|, limit)``.
             goal: Goals in the servos (N,) [rad].
             limit: Torque limits in the servos (N,) [N m].
             dt: Time since the last update [s].
             now: Present time [s].
-            max_jumps: Number of implausible positions in a row from which on a joint is faulty.
-            max_heat: Heat above which a servo is too hot.
 
         Returns:
-            Nine values: True if the positions of all joints of the chain are new; plausible
-            positions of the chain (n,) [rad]; sample time of the oldest of them [s]; positions of
-            the joints off the chain (N - n) [rad]; ages of the positions of the chain (n,) [s];
-            velocities, torques and currents of the chain (n,), each None if its argument is None;
-            True if a joint is faulty or a servo is too hot.
+            The state with the last plausible positions, without faults; True if a joint is faulty
+            or a servo is too hot. Its arrays are reused if nothing refers to them any more.
 
         Raises:
             ShapeError: An array has another shape.

@@ -8,58 +8,21 @@ handles the servo bus; it knows nothing of kinematics, gravity or control.
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
-import numpy as np
+from pliant._core import JointReadings, State
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from pliant._core import Servos
-    from pliant._typing import Array, Mask
+    from pliant._typing import Array
 
+__all__ = ["Clock", "Drive", "JointReadings", "MonotonicClock", "ServoStatus", "State"]
 
 #: Last part of a wait [s] that is a busy loop instead of a `sleep`, because `sleep` returns late.
 SPIN = 8e-5
-
-
-@dataclass(frozen=True, init=False)
-class JointReadings:
-    """One reading of all N joints of a drive, in the order of `Drive.names`.
-
-    Attributes:
-        position: Positions (N,) [rad]; undefined where `ok` is False.
-        ok: Mask (N,) of the positions that were read in this cycle.
-        time: Sample times on the drive's clock [s]: (N,), or one number for all.
-        velocity: Velocities as the servos report them (N,) [rad/s]; None: not reported.
-        load: Torques that the servos estimate from PWM duty or current (N,) [N·m]; None: not
-            reported.
-        current: Motor currents (N,) [A]; None: not reported.
-
-    In `velocity`, `load` and `current`, NaN marks a servo that does not report the value.
-    """
-
-    position: Array
-    ok: Mask
-    time: Array | float
-    velocity: Array | None = None
-    load: Array | None = None
-    current: Array | None = None
-
-    def __init__(  # noqa: PLR0917 -- the attributes
-        self,
-        position: Array,
-        ok: Mask,
-        time: Array | float,
-        velocity: Array | None = None,
-        load: Array | None = None,
-        current: Array | None = None,
-    ) -> None:
-        # The constructor of a frozen dataclass makes a call per attribute.
-        self.__dict__.update(
-            position=position, ok=ok, time=time, velocity=velocity, load=load, current=current
-        )
 
 
 @dataclass(frozen=True, init=False)
@@ -85,7 +48,7 @@ class ServoStatus:
         temperature: float | None = None,
         faults: tuple[str, ...] = (),
     ) -> None:
-        # See `JointReadings`.
+        # The constructor of a frozen dataclass makes a call per attribute.
         self.__dict__.update(name=name, voltage=voltage, temperature=temperature, faults=faults)
 
 
@@ -203,41 +166,3 @@ class MonotonicClock:
             time.sleep(rest)
         while time.perf_counter() < deadline:
             pass
-
-
-@dataclass(frozen=True)
-class State:
-    """State of an arm in one control cycle; the n joints are those of the chain, base to tip.
-
-    `dq`, `load` and `current` are None if the servos do not report them.
-
-    Attributes:
-        q: Joint positions (n,) [rad]; a joint without a new reading keeps its last position.
-        dq: Joint velocities as the servos report them (n,) [rad/s].
-        time: Sample time of the oldest of the positions, on the arm's clock [s].
-        fresh: True if the positions of all joints were read in this cycle.
-        extra: Positions by name of the joints outside the chain, such as a gripper [rad].
-        age: Time since each position was sampled (n,) [s].
-        load: Torque as each servo estimates it (n,) [N·m].
-        current: Current of each servo (n,) [A].
-        voltage: Supply voltage at each servo (n,) [V]; NaN before the first reading.
-        temperature: Temperature of each servo (n,) [°C]; NaN before the first reading.
-        faults: Present faults, one sentence each; empty if healthy.
-    """
-
-    q: Array
-    dq: Array | None = None
-    time: float = 0.0
-    fresh: bool = True
-    extra: Mapping[str, float] = field(default_factory=dict)
-    age: Array = field(default_factory=lambda: np.zeros(0))
-    load: Array | None = None
-    current: Array | None = None
-    voltage: Array | None = None
-    temperature: Array | None = None
-    faults: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        """Set `age` to 0 for all joints if it is not given."""
-        if self.age.shape != self.q.shape:
-            object.__setattr__(self, "age", np.zeros_like(self.q))

@@ -6,6 +6,7 @@ import logging
 import math
 from array import array
 from bisect import bisect_right
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -25,6 +26,8 @@ from pliant.arm._checks import check_same_robot, longest_command_age, vector
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
+
+    from numpy.typing import NDArray
 
     from pliant._typing import Array
     from pliant.arm.arm import Arm
@@ -51,27 +54,48 @@ AVERAGE, CHANGE, CHANGE_SHARE = 50, 5e-4, 0.1
 FIRST, PER_DECADE, BINS = 1e-6, 20, 140
 #: Lower ends of these bins, and upper end of the last [s].
 EDGES = array("d", [FIRST * 10.0 ** (i / PER_DECADE) for i in range(BINS + 1)])
+#: Number of ticks that are sorted into the bins at a time.
+SORTED = 64
 
 
 class LatenessHistogram:
-    """Histogram of the lateness of ticks: 20 bins per decade from 1 µs to 10 s.
-
-    Attributes:
-        counts: Number of ticks per bin (142,): below 1 µs, in the 140 bins, above 10 s.
-        largest: Largest lateness of a tick [s]; 0 without ticks.
-    """
+    """Histogram of the lateness of ticks: 20 bins per decade from 1 µs to 10 s."""
 
     def __init__(self) -> None:
         """Start with empty bins."""
-        self.counts = np.zeros(BINS + 2, dtype=np.int64)
-        self._cells = self.counts.data
-        self.largest = 0.0
+        self._counts = np.zeros(BINS + 2, dtype=np.int64)
+        self._largest = 0.0
+        # The bins lie in memory that is no longer in the caches when a tick begins.
+        self._unsorted: list[float] = []
 
     def add(self, late: float) -> None:
         """Count a tick that began `late` [s] after its deadline."""
-        self.largest = max(self.largest, late)
-        # Numbers of a memory view are quicker than those of an array.
-        self._cells[bisect_right(EDGES, late)] += 1
+        self._unsorted.append(late)
+        if len(self._unsorted) == SORTED:
+            self._sort()
+
+    def add_all(self, other: LatenessHistogram) -> None:
+        """Count the ticks of another histogram."""
+        self._counts = self.counts + other.counts
+        self._largest = max(self.largest, other.largest)
+
+    @property
+    def counts(self) -> NDArray[np.int64]:
+        """Number of ticks per bin (142,): below 1 µs, in the 140 bins, above 10 s."""
+        self._sort()
+        return self._counts
+
+    @property
+    def largest(self) -> float:
+        """Largest lateness of a tick [s]; 0 without ticks."""
+        self._sort()
+        return self._largest
+
+    def _sort(self) -> None:
+        unsorted, self._unsorted = self._unsorted, []
+        for late in unsorted:
+            self._largest = max(self._largest, late)
+            self._counts[bisect_right(EDGES, late)] += 1
 
     def __len__(self) -> int:
         """Return the number of counted ticks."""
@@ -327,8 +351,9 @@ class Loop:
         if recorder is not None:
             self.controller = recorder.start(arm, controller, rate)
 
-    def __iter__(self) -> Iterator[Tick]:
-        """Start the arm's supervisor thread and yield ticks; close the recorder at the end."""
+    @contextmanager
+    def _supervised(self) -> Iterator[None]:
+        """Return a context with the supervisor thread; the recorder is closed at its end."""
         if not self._arm.enabled:
             raise ServoError("torque is off: use `with connect(...) as arm`, or arm.enable()")
         patience = max(self._max_step_time, self._arm.comm_timeout) + self.period + GRACE
@@ -339,7 +364,7 @@ class Loop:
                 real_time_priority(self._realtime_priority),
                 self._arm.supervised(patience) as self._check,
             ):
-                yield from self._turns()
+                yield
             ended = True
         finally:
             if self._recorder is not None:
@@ -358,60 +383,70 @@ class Loop:
                 raise
             LOG.error("%s", error)
 
-    def _turns(self) -> Iterator[Tick]:
-        """Wait for each deadline, read the arm, and yield a tick if all positions are new."""
-        arm, clock = self._arm, self._arm.clock
-        begin = deadline = clock.now()
+    def __iter__(self) -> Iterator[Tick]:
+        """Wait for each deadline, read the arm, and yield a tick if all positions are new.
+
+        The arm's supervisor thread runs meanwhile; the recorder is closed at the end.
+        """
+        arm, clock, shortest = self._arm, self._arm.clock, 0.1 * self.period
         last: float | None = None
         first: float | None = None
-        commanded, before, index = begin, begin, 0
-        while self.duration is None or deadline - begin < self.duration - 1e-9:
-            clock.wait_until(deadline)
-            now = clock.now()
-            self.lateness.add(now - deadline)
-            state = arm.read()
-            if state.faults:
-                raise ServoFaultError("; ".join(state.faults))
-            if state.fresh:
-                if last is None or state.time - last > RESTART:
-                    self._restart(state.q, first=last is None)
-                    last = None
-                dt = self.period if last is None else max(state.time - last, 0.1 * self.period)
-                last = state.time
-                first = now if first is None else first
-                tick = Tick(self, state, dt, (now, first), index)
-                try:
-                    yield tick
-                finally:
-                    if self._recorder is not None:
-                        self._recorder.add(tick, tick.command)
-                self._check()
-                index += 1
-                done = clock.now()
-                if done - now > self._max_step_time:
-                    raise ServoTimeoutError(
-                        f"the program did not come back for {done - now:.2f} s (max_step_time "
-                        f"allows {self._max_step_time:g} s); the servos held meanwhile"
-                    )
-                commanded = now if tick.answered else commanded
-                if now - commanded > arm.comm_timeout:
-                    raise ServoTimeoutError(
-                        f"no command could be sent for {now - commanded:.2f} s: {self._cause()}"
-                    )
-            else:
-                self.missing += 1
-                # A pause before the loop is not a silence of the joints.
-                ages = np.minimum(state.age, now - begin)
-                self._wait_no_longer_than(ages, arm.comm_timeout)
-                # Exclude this time from the command timeout: without a tick there is no command.
-                commanded += now - before
-            before = now
-            deadline += self.period
-            late = clock.now() - deadline
-            if late > 0.0:
-                skipped = math.ceil(late / self.period - 1e-9)
-                self.missed += skipped
-                deadline += skipped * self.period
+        with self._supervised():
+            begin = deadline = clock.now()
+            commanded, before, index = begin, begin, 0
+            while self.duration is None or deadline - begin < self.duration - 1e-9:
+                clock.wait_until(deadline)
+                now = clock.now()
+                self.lateness.add(now - deadline)
+                state = arm.read()
+                if state.faults:
+                    raise ServoFaultError("; ".join(state.faults))
+                if state.fresh:
+                    time = state.time
+                    if last is None or time - last > RESTART:
+                        self._restart(state.q, first=last is None)
+                        last = None
+                    if last is None:
+                        dt = self.period
+                    elif time - last < shortest:
+                        dt = shortest
+                    else:
+                        dt = time - last
+                    last = time
+                    first = now if first is None else first
+                    tick = Tick(self, state, dt, (now, first), index)
+                    try:
+                        yield tick
+                    finally:
+                        if self._recorder is not None:
+                            self._recorder.add(tick, tick.command)
+                    self._check()
+                    index += 1
+                    done = clock.now()
+                    if done - now > self._max_step_time:
+                        raise ServoTimeoutError(
+                            f"the program did not come back for {done - now:.2f} s (max_step_time "
+                            f"allows {self._max_step_time:g} s); the servos held meanwhile"
+                        )
+                    commanded = now if tick.answered else commanded
+                    if now - commanded > arm.comm_timeout:
+                        raise ServoTimeoutError(
+                            f"no command could be sent for {now - commanded:.2f} s: {self._cause()}"
+                        )
+                else:
+                    self.missing += 1
+                    # A pause before the loop is not a silence of the joints.
+                    ages = np.minimum(state.age, now - begin)
+                    self._wait_no_longer_than(ages, arm.comm_timeout)
+                    # Not part of the command timeout: without a tick there is no command.
+                    commanded += now - before
+                before = now
+                deadline += self.period
+                late = clock.now() - deadline
+                if late > 0.0:
+                    skipped = math.ceil(late / self.period - 1e-9)
+                    self.missed += skipped
+                    deadline += skipped * self.period
 
     def _cause(self) -> str:
         """Return the cause and the remedy for ticks without a command."""

@@ -2,6 +2,8 @@
 
 import os
 import signal
+import subprocess
+import sys
 import textwrap
 
 import programs
@@ -84,3 +86,30 @@ for use in uses:
 sys.exit(0)
 """)
     assert result.stdout.splitlines()[:3] == ["child 0", "0 True", "False False"], result.stderr
+
+
+@pytest.mark.parametrize("fork", ["os.fork()", "ctypes.CDLL(None).fork()"])
+def test_a_fork_of_the_process_that_imported_the_package_is_noticed(fork):
+    # Not `programs.run`, whose programs are forks themselves.
+    program = f"""
+import ctypes, os
+import pliant
+from pliant.arm._supervisor import _NOT_FORKED, Supervisor
+
+supervisor = Supervisor(lambda: None)
+supervisor.owner = os.getpid()
+child = {fork}
+try:
+    with supervisor:
+        code = 1
+except pliant.ServoError as error:
+    code = 2 if f"belongs to process {{supervisor.owner}}" in str(error) else 3
+if child == 0:
+    os._exit(code)
+print(code, os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), bool(_NOT_FORKED[0]))
+"""
+    result = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False
+    )
+    is_marked = sys.platform == "linux"
+    assert result.stdout.split() == ["1", "2", str(is_marked)], result.stderr

@@ -160,6 +160,11 @@ def test_lateness_is_bounded_and_right_within_a_bin():
     assert histogram.percentile(99.0) == pytest.approx(0.99e-3, rel=0.13)
     assert histogram.percentile(100.0) == histogram.largest == 100.0
     assert LatenessHistogram().percentile(50.0) == 0.0
+    other = LatenessHistogram()
+    other.add(200.0)
+    other.add_all(histogram)
+    assert (len(other), len(histogram), other.largest) == (10_004, 10_003, 200.0)
+    assert (other.counts - histogram.counts).tolist() == [0] * 141 + [1]
 
 
 #: By case: reaction of the arm, and largest tool speed before and during the descent [m/s].

@@ -1,19 +1,20 @@
 """Number of calls per tick, and command limits compared with a computation in NumPy."""
 
 import importlib
+import pickle
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import pliant
-from pliant._core import SUPPORT, CommandLimiter, PositionFilter, torque_margin
-from pliant.arm import Budget
+from pliant._core import SUPPORT, CommandLimiter, JointReadings, PositionFilter, torque_margin
+from pliant.arm import Budget, State
 
 BENCHES = Path(__file__).resolve().parents[2] / "benches"
 #: Largest number of calls per tick, and of those of functions written in Python. A count needs no
 #: idle machine; Python versions and NumPy differ by some calls.
-CALLS = {"null": (80, 45), "so101": (125, 55)}
+CALLS = {"null": (55, 35), "so101": (75, 32)}
 
 
 @pytest.fixture
@@ -46,7 +47,10 @@ def test_limits_equal_their_formula(supply, lead):
     kp, max_torque = rng.uniform(5.0, 20.0, size), rng.uniform(1.0, 3.0, size)
     servos = model.servos
     thermal = Budget(supply=supply).thermal_model(max_torque, np.full(size, 2.0))
-    limiter = CommandLimiter(model, servos, thermal, chain=chain, kp=kp, max_torque=max_torque)
+    limiter = CommandLimiter(
+        model, servos, thermal, chain=chain, extra=("jaw",), kp=kp, max_torque=max_torque,
+        max_jumps=3, max_heat=1.0,
+    )  # fmt: skip
     heat = np.zeros(size)
     count = 0
     for _ in range(200):
@@ -97,8 +101,8 @@ def test_limits_equal_their_formula(supply, lead):
         torque = np.where(np.isfinite(load), np.abs(load), torque)
         positions, ok = PositionFilter(np.ones(size)), np.ones(size, dtype=bool)
         limiter.update(
-            positions, position, ok, 0.0, None, load, None,
-            goal=goals, limit=limits, dt=2.0, now=0.0, max_jumps=3, max_heat=1.0,
+            positions, JointReadings(position, ok, 0.0, load=load),
+            goals, limits, 2.0, 0.0,
         )  # fmt: skip
         heat += -np.expm1(-2.0 / 30.0) * ((torque / (0.4 * max_torque)) ** 2 - heat)
         assert thermal.heat == pytest.approx(heat, rel=1e-9)
@@ -114,7 +118,15 @@ def test_a_reading_updates_filter_and_heat_as_single_calls_do():
     def made():
         thermal = Budget().thermal_model(max_torque, None)
         limiter = CommandLimiter(
-            model, model.servos, thermal, chain=chain, kp=kp, max_torque=max_torque
+            model,
+            model.servos,
+            thermal,
+            chain=chain,
+            extra=("jaw",),
+            kp=kp,
+            max_torque=max_torque,
+            max_jumps=2,
+            max_heat=0.9,
         )
         return limiter, PositionFilter(np.full(size, 0.5)), thermal
 
@@ -130,21 +142,22 @@ def test_a_reading_updates_filter_and_heat_as_single_calls_do():
         velocity, load, current = (
             None if (cycle + i) % 3 else rng.normal(0.0, 0.1, size) for i in range(3)
         )
-        is_fresh, q, oldest, off_chain, age, *measured, is_suspect = limiter.update(
-            positions, position, ok, time, velocity, load, current,
-            goal=goal, limit=limit, dt=dt, now=reading_time, max_jumps=2, max_heat=0.9,
+        state, is_suspect = limiter.update(
+            positions, JointReadings(position, ok, time, velocity, load, current),
+            goal, limit, dt, reading_time,
         )  # fmt: skip
         is_accepted = expected.update(position, ok, time)
         assert positions.accepted.tolist() == is_accepted.tolist()
-        assert is_fresh == is_accepted[chain].all()
-        freshness.add(is_fresh)
+        assert state.fresh == is_accepted[chain].all()
+        freshness.add(state.fresh)
+        measured = (getattr(state, name) for name in ("dq", "load", "current"))
         for result, value in zip(measured, (velocity, load, current), strict=True):
             assert (result is None) == (value is None)
             assert value is None or result.tolist() == value[chain].tolist()
-        np.testing.assert_array_equal(q, expected.position[chain])
-        np.testing.assert_array_equal(age, reading_time - expected.time[chain])
-        assert oldest == expected.time[chain].min()
-        np.testing.assert_array_equal(off_chain, [expected.position[4]])
+        np.testing.assert_array_equal(state.q, expected.position[chain])
+        np.testing.assert_array_equal(state.age, reading_time - expected.time[chain])
+        assert state.time == expected.time[chain].min()
+        np.testing.assert_equal(state.extra, {"jaw": expected.position[4]})
         torque = np.minimum(np.abs(np.nan_to_num(kp * (goal - expected.position))), limit)
         torque = torque if load is None else np.abs(load)
         heat += -np.expm1(-dt / 30.0) * ((torque / (0.4 * max_torque)) ** 2 - heat)
@@ -157,8 +170,8 @@ def test_a_reading_updates_filter_and_heat_as_single_calls_do():
     assert (False, True) in suspects or (True, True) in suspects
     with pytest.raises(pliant.ShapeError, match="position has shape"):
         limiter.update(
-            PositionFilter([1.0]), [0.0], np.ones(1, dtype=bool), 0.0, None, None, None,
-            goal=goal, limit=limit, dt=0.0, now=0.0, max_jumps=2, max_heat=0.9,
+            PositionFilter([1.0]), JointReadings(np.zeros(1), np.ones(1, dtype=bool), 0.0),
+            goal, limit, 0.0, 0.0,
         )  # fmt: skip
     assert n == len(chain)
 
@@ -178,3 +191,59 @@ def test_a_filter_takes_times_of_joints_or_of_the_reading():
         positions.update(np.zeros(2), np.ones(3, dtype=bool), 1.0)
     with pytest.raises(pliant.OutOfRangeError, match=r"max_speed\[1\]"):
         PositionFilter([1.0, -1.0])
+
+
+def test_arrays_of_a_state_that_is_kept_do_not_change():
+    model = pliant.robots.so101()
+    size, chain = model.n + 1, list(range(model.n))
+    thermal = Budget().thermal_model(np.ones(size), None)
+    limiter = CommandLimiter(
+        model, model.servos, thermal, chain=chain, extra=("jaw",), kp=np.ones(size),
+        max_torque=np.ones(size), max_jumps=3, max_heat=1.0,
+    )  # fmt: skip
+    positions = PositionFilter(np.full(size, 100.0))
+    ok, zeros = np.ones(size, dtype=bool), np.zeros(size)
+
+    def state(cycle):
+        values = np.full(size, 0.001 * cycle)
+        readings = JointReadings(values, ok, 0.01 * cycle, values, values, values)
+        return limiter.update(positions, readings, zeros, zeros, 0.01, 0.01 * cycle)[0]
+
+    def arrays(state):
+        return [state.q, state.dq, state.load, state.current, state.age]
+
+    kept = [state(cycle) for cycle in range(5)]
+    views = [state(cycle).q[1:] for cycle in range(5, 10)]
+    for cycle in range(10, 20):
+        state(cycle)
+    for cycle, state_of_then in enumerate(kept):
+        for array in arrays(state_of_then)[:4]:
+            assert array.tolist() == [0.001 * cycle] * model.n
+    for cycle, view in enumerate(views, 5):
+        assert view.tolist() == [0.001 * cycle] * (model.n - 1)
+    # Nothing refers to the arrays of earlier states: three are in use.
+    assert len({id(state(cycle).q) for cycle in range(20, 40)}) == 3
+
+
+def test_states_and_readings_can_be_copied_with_changes():
+    q = np.array([0.1, 0.2])
+    state = State(q, time=3.0, extra={"jaw": 0.5}, voltage=np.array([7.0, 7.1]))
+    assert state.q is q
+    assert (state.dq, state.time, state.fresh, state.faults) == (None, 3.0, True, ())
+    assert state.age.tolist() == [0.0, 0.0]
+    assert State(q).extra == {}
+    hot = state.replace(faults=("hot",), fresh=False)
+    assert (hot.faults, hot.fresh, hot.extra) == (("hot",), False, {"jaw": 0.5})
+    assert (state.faults, state.fresh) == ((), True)
+    copy = pickle.loads(pickle.dumps(hot))
+    assert repr(copy) == repr(hot)
+    assert "faults=('hot',)" in repr(hot)
+    with pytest.raises(AttributeError):
+        state.time = 1.0
+    with pytest.raises(TypeError, match="speed"):
+        state.replace(speed=1.0)
+    readings = JointReadings(q, np.array([True, False]), 1.0, current=2.0 * q)
+    copy = pickle.loads(pickle.dumps(readings))
+    assert copy.position.tolist() == q.tolist()
+    assert (copy.ok.tolist(), copy.time, copy.velocity) == ([True, False], 1.0, None)
+    assert copy.current.tolist() == [0.2, 0.4]

@@ -26,7 +26,7 @@ import json, os, signal, sys
 import pliant.cli, pliant.loop, pliant.teach.teacher
 signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
-turns, loaded = pliant.loop.Loop._turns, set()
+turns, loaded = pliant.loop.Loop.__iter__, set()
 start, ticks_recorded = pliant.teach.teacher.Teacher.start, []
 
 def started(self):
@@ -44,7 +44,7 @@ def watched(self):
     finally:
         loaded.update(set(sys.modules) - before)
 
-pliant.loop.Loop._turns = watched
+pliant.loop.Loop.__iter__ = watched
 code = pliant.cli.main(sys.argv[1:])
 sys.stdout.flush()
 print()

@@ -36,7 +36,7 @@ def test_every_name_is_there_and_documented():
     internal = {
         *("ArmPoints", "CommandLimiter", "HandGuidingLaw", "PositionFilter"),
         *("SUPPORT", "ServoCodec", "ThermalModel", "torque_margin", "update_contacts"),
-        *(() if sys.platform == "win32" else ("exchange",)),
+        *(() if sys.platform == "win32" else ("SerialPort", "ServoGroup")),
     }
     assert set(pliant._core.__all__) == (public & set(pliant._core.__all__)) | internal
 

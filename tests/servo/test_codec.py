@@ -47,16 +47,17 @@ def test_joint_values_are_those_of_the_units(model):
         assert servo.accept(
             reply(servo, float(time), position=position, speed=speed, **{measured: load})
         )
-        *values, ok = servo.codec.joints([0])
+        readings = servo.codec.joints([0])
         if measured == "current":
             torque = units.sign * units.torque(load)
-            assert values[4] == pytest.approx([row.current_unit * abs(load)])
+            assert readings.current == pytest.approx([row.current_unit * abs(load)])
         else:
             torque = units.sign * units.load(load)
         expected = [units.angle(position), time, units.velocity(speed), torque]
-        assert np.ravel(values[:4]) == pytest.approx(expected, rel=1e-12, abs=1e-15)
-        assert ok.tolist() == [True]
-        assert servo.codec.joints([])[5].tolist() == [False]
+        values = (readings.position, readings.time, readings.velocity, readings.load)
+        assert np.ravel(values) == pytest.approx(expected, rel=1e-12, abs=1e-15)
+        assert readings.ok.tolist() == [True]
+        assert servo.codec.joints([]).ok.tolist() == [False]
 
 
 @pytest.mark.parametrize("model", MODELS)
@@ -159,3 +160,27 @@ def test_arguments_that_do_not_fit():
     for call in (servo.codec.sent, lambda i: servo.codec.record_sent(i, 1, 1, b"")):
         with pytest.raises(OutOfRangeError, match="servo = 1"):
             call(1)
+
+
+@pytest.mark.parametrize("model", ["STS3215-12V", "MX-64", "XL430-W250"])
+def test_a_block_shows_whether_the_registers_hold_the_last_command(model):
+    servo = device(model)
+    family, codec = servo.family, servo.codec
+    (address, size), packet = family.write_blocks[0], encode(servo, 0.2, 0.5, 1.0)[1][0]
+    torque_enable = family.registers["torque_enable"].address
+    first = min(address, torque_enable)
+    data = bytearray(max(address + size, torque_enable + 1) - first)
+    data[torque_enable - first] = 1
+    data[address - first : address - first + size] = packet
+    assert not codec.has_command(0, bytes(data), first), "no command was sent"
+    servo.record_sent(*encode(servo, 0.2, 0.5, 1.0)[0][:2], packet)
+    assert codec.has_command(0, bytes(data), first)
+    for i in {torque_enable - first, *range(address - first, address - first + size)}:
+        changed = bytearray(data)
+        changed[i] ^= 2
+        assert not codec.has_command(0, bytes(changed), first)
+    # Without the register Torque Enable there is nothing to compare.
+    assert codec.has_command(0, b"", first)
+    assert not codec.has_command(0, bytes(data[torque_enable - first :][:1]), torque_enable)
+    with pytest.raises(OutOfRangeError, match="servo"):
+        codec.has_command(1, bytes(data), first)

@@ -55,7 +55,7 @@ def port(request):
     protocol, *others = request.param.split()
     replies = Replies(protocol)
     if others:
-        replies.transport._descriptor = None
+        replies.transport.serial = None
     yield replies, packet_1 if protocol == "p1" else status_2
     replies.close()
 

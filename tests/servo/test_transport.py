@@ -11,10 +11,11 @@ import pytest
 
 pytest.importorskip("rustypot", reason="the tests of servo buses need the extra servo")
 
-from pliant._core import OutOfRangeError, ServoCodec
+from pliant._core import JointReadings, OutOfRangeError, ServoCodec
 from pliant.emulator.pty import Pty
 from pliant.servo import BusError, RustypotTransport, ServoSpec, transport
 from pliant.servo._device import Device
+from pliant.servo._transactions import TransactionGuard
 
 SIZE = 4
 
@@ -22,6 +23,12 @@ SIZE = 4
 def packet(id, data=b"\1\2\3\4", status=0):
     body = bytes((id, len(data) + 2, status)) + data
     return b"\xff\xff" + body + bytes((~sum(body) & 0xFF,))
+
+
+if transport.sys.platform != "win32":
+    from pliant._core import ServoGroup
+
+READINGS = ("position", "ok", "time", "velocity", "load", "current")
 
 
 class Answering:
@@ -32,7 +39,7 @@ class Answering:
         if not with_descriptor:
             monkeypatch.setattr(transport, "_descriptors", lambda path: set())
         self.io = RustypotTransport(self.pty.path, 1_000_000, "p1", 0.05)
-        assert (self.io._descriptor is not None) == with_descriptor
+        assert (self.io.serial is not None) == with_descriptor
         self._open = True
         self._thread = threading.Thread(target=self._serve, daemon=True)
         self._thread.start()
@@ -105,7 +112,7 @@ def test_wrong_replies(port, reply, reason, id):
     with pytest.raises(BusError) as error:
         port.io.sync_read([3, 5], 56, SIZE)
     assert error.value.reason == reason
-    if port.io._descriptor is not None:
+    if port.io.serial is not None:
         assert error.value.id == id
 
 
@@ -141,6 +148,7 @@ def test_readings_decoded_with_the_request_are_those_decoded_after_it():
     rng = np.random.default_rng(0)
     port = Answering()
     (codec, family, block), (other, _, _) = codec_of_two(), codec_of_two()
+    group = ServoGroup(port.io.serial, codec, [0, 1], [3, 5])
     results = set()
     for cycle in range(60):
         time = 0.01 * cycle + (1.0 if cycle > 40 else 0.0)
@@ -156,18 +164,21 @@ def test_readings_decoded_with_the_request_are_those_decoded_after_it():
         data = [family.layout(block).encode(row) for row in values]
         port.reply = b"".join(map(packet, (3, 5), data, statuses))
         is_regular = bool(cycle % 3)
-        decoder = transport.Decoder(codec, [0, 1], 0.5, block if is_regular else None)
-        decoded = port.io.sync_decode([3, 5], block, decoder, time)
+        decoded = group.read(block, 0.05, time, 0.5, is_regular)
         answers = list(zip(data, statuses, strict=True))
         notable = other.decode([0, 1], answers, block.address, time, 0.5)
-        assert decoded == (None if is_regular and not notable else (answers, notable))
-        for joint, other_joint in zip(codec.joints([0, 1]), other.joints([0, 1]), strict=True):
-            np.testing.assert_array_equal(joint, other_joint)
+        is_usual = is_regular and not notable
+        assert isinstance(decoded, JointReadings) if is_usual else decoded == (answers, notable)
+        for name in READINGS:
+            readings = decoded if is_usual else codec.joints([0, 1])
+            np.testing.assert_array_equal(
+                getattr(readings, name), getattr(other.joints([0, 1]), name)
+            )
         for i, result in notable:
             if result is None:
                 codec.decode([i], [answers[i]], block.address, time, math.inf)
                 other.decode([i], [answers[i]], block.address, time, math.inf)
-        results |= {result for _, result in notable} | {decoded is None}
+        results |= {result for _, result in notable} | {is_usual}
     assert results == {None, False, True}
     port.close()
 
@@ -177,9 +188,10 @@ def test_a_command_encoded_with_its_packet_is_the_command_encoded_before_it():
     port = Answering()
     codec, family, _ = codec_of_two()
     ids, command = [3, 5], ([0.1, -0.2], [0.5, 0.25], [1.0, math.inf], 2.0)
+    group, blocks = ServoGroup(port.io.serial, codec, [0, 1], ids), family.write_blocks
     goals, limits, _, packets, _ = codec.encode([0, 1], *command)
     assert codec.sent(0)[::3] == (None, b"")
-    port.io.sync_encode(ids, family.write_blocks, codec, [0, 1], command)
+    group.write(blocks, 0.05, *command)
     size = 8 + len(ids) * (1 + len(packets[0]))
     port.wait_for(size)
     port.io.sync_write(ids, family.write_blocks[0].address, packets)
@@ -193,33 +205,53 @@ def test_a_command_encoded_with_its_packet_is_the_command_encoded_before_it():
     # The first servo's command is valid, the other's is not: nothing is sent.
     for bad in (([0.3, math.nan], [0.5, 0.5], None, 2.0), ([0.3, 0.3], [0.5, -1.0], None, 2.0)):
         with pytest.raises(OutOfRangeError, match="command"):
-            port.io.sync_encode(ids[:1], family.write_blocks, codec, [0], bad)
-    address, block_size = family.write_blocks[0]
+            ServoGroup(port.io.serial, codec, [0], ids[:1]).write(blocks, 0.05, *bad)
+    address, block_size = blocks[0]
     with pytest.raises(ValueError, match="one row of the size of the block"):
-        port.io.sync_encode(ids, [(address, block_size - 1)], codec, [0, 1], command)
+        group.write([(address, block_size - 1)], 0.05, *command)
     port.reply = packet(3)
     port.io.read(3, 56, SIZE)
     assert b"".join(port.requests)[2 * size :] == bytes((255, 255, 3, 4, 2, 56, SIZE, 186))
     # A port that is gone: nothing is recorded.
     port.stop()
     port.pty.hang_up()
+    guard = TransactionGuard(port.io, "p1", baudrate=1_000_000)
     with pytest.raises(BusError, match="gone"):
-        port.io.sync_encode(
-            ids, family.write_blocks, codec, [0, 1], ([0.3] * 2, [0.1] * 2, None, 0)
-        )
+        guard.sync_encode(group, 2, blocks, ([0.3] * 2, [0.1] * 2, None, 0))
+    assert guard.is_gone
     assert [codec.sent(i)[0] for i in range(2)] == goals
     assert [codec.sent(i)[2] for i in range(2)] == counts
     port.close()
 
 
 @pytest.mark.skipif(transport.sys.platform == "win32", reason="readings are decoded in Python")
-def test_no_reading_is_stored_unless_all_replies_are_valid():
+@pytest.mark.parametrize("at_once", [False, True])
+def test_no_reading_is_stored_unless_all_replies_are_valid(at_once):
     port = Answering()
     codec, family, block = codec_of_two()
-    decoder = transport.Decoder(codec, [0, 1], 9.0, block)
+    group = ServoGroup(port.io.serial, codec, [0, 1], [3, 5])
+
+    def read():
+        # A new guard, because a guard first waits for late replies after a failure.
+        guard = TransactionGuard(port.io, "p1", baudrate=1_000_000, sample_clock=lambda: 0.01)
+        try:
+            if at_once:
+                guard.read_at_once(group, [3, 5], block, 9.0, 1.0)
+            else:
+                guard.start_cycle(1.0)
+                guard.sync_decode([3, 5], [block], group, 9.0, usual=True)
+        finally:
+            counters = guard.counters
+            assert (counters.transactions, counters.timeouts + counters.corrupt) in {(1, 1), (1, 0)}
+            assert guard._pending.missing.keys() == {3, 5}
+            assert not guard.is_clear
+
+    def values():
+        return [getattr(codec.joints([0, 1]), name).tolist() for name in READINGS]
+
     first = family.layout(block).encode({"position": 2000})
     codec.decode([0, 1], [(first, 0), (first, 0)], block.address, 0.0, 9.0)
-    before = [values.tolist() for values in codec.joints([0, 1])]
+    before = values()
     valid = packet(3, family.layout(block).encode({"position": 2001}))
     other = packet(5, family.layout(block).encode({"position": 2001}))
     for reply, reason in (
@@ -229,16 +261,24 @@ def test_no_reading_is_stored_unless_all_replies_are_valid():
     ):
         port.reply = reply
         with pytest.raises(BusError) as error:
-            port.io.sync_decode([3, 5], block, decoder, 0.01)
+            read()
         assert (error.value.reason, error.value.id) == (reason, 5)
     port.reply = valid + packet(5, b"\0" * (block.size - 1))
-    answers, notable = port.io.sync_decode([3, 5], block, decoder, 0.01)
-    assert [len(data) for data, _ in answers] == [block.size, block.size - 1]
-    assert notable == []
-    assert [values.tolist() for values in codec.joints([0, 1])] == before
+    with pytest.raises(BusError) as error:
+        read()
+    assert (error.value.reason, error.value.id) == ("stale", 5)
+    assert values() == before
+    port.reply = valid + packet(5, family.layout(block).encode({"position": 2001}))
+    guard = TransactionGuard(port.io, "p1", baudrate=1_000_000, sample_clock=lambda: 0.01)
+    found = guard.read_at_once(group, [3, 5], block, 9.0, 1.0)
+    assert isinstance(found, JointReadings)
+    assert guard.is_clear
+    assert values() == [getattr(found, name).tolist() for name in READINGS] != before
     port.close()
+    with pytest.raises(OSError, match="serial port"):
+        group.read(block, 0.05, 0.01, 9.0, True)
     with pytest.raises(BusError, match="another thread"):
-        port.io.sync_decode([3, 5], block, decoder, 0.01)
+        port.io.read(3, 56, SIZE)
 
 
 @pytest.mark.parametrize(("kind", "requests"), [("sts", 2), ("mx", 4), ("xm", 3)])

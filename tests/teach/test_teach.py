@@ -127,7 +127,7 @@ def test_a_press_of_the_gripper_counts_once():
         shares = [0.5, 0.1, 0.05, 0.5, 0.0]
         positions = [jaw.closed + share * (jaw.opened - jaw.closed) for share in shares]
         presses = [
-            teacher.gripper_pressed(replace(state, extra={"gripper": position}))
+            teacher.gripper_pressed(state.replace(extra={"gripper": position}))
             for position in positions
         ]
         assert presses == [False, True, False, False, True]

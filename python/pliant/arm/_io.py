@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import math
 import warnings
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,6 +12,7 @@ import numpy as np
 from pliant._core import (
     CommandLimiter,
     ConfigError,
+    JointReadings,
     OutOfRangeError,
     PositionFilter,
     ServoError,
@@ -23,14 +23,14 @@ from pliant._servo_tables import take
 from pliant._validation import format_value, mapping, real
 from pliant.arm._checks import vector
 from pliant.arm.thermal import TOO_HOT, thermal_faults
-from pliant.drive import JointReadings, MonotonicClock, State
+from pliant.drive import MonotonicClock
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from numpy.typing import ArrayLike
 
-    from pliant._core import Model, Servos
+    from pliant._core import Model, Servos, State
     from pliant._typing import Array, Mask
     from pliant.arm.thermal import Budget
     from pliant.drive import Clock, Drive, ServoStatus
@@ -153,17 +153,20 @@ class LowTorqueWarning:
     The torque limit of a joint [N·m] is too low if ``limit < 0.5 |g|`` and ``limit + τ_f < |g|``,
     with the joint's gravity torque g and dry friction τ_f [N·m]. Commands of a `Controller` are not
     checked, because their limits carry the weight.
+
+    Attributes:
+        since: Time since which a limit is too low [s]; None: no limit is.
     """
 
     def __init__(self, model: Model, servos: Servos) -> None:
         """Store the joint names of the model and the friction of the servos."""
         self._names, self._friction = model.joint_names, np.asarray(servos.friction)
-        self._since: float | None = None
+        self.since: float | None = None
         self._is_warned = False
 
     def reset(self) -> None:
         """Restart the time `LOW_TIME`; call this after every command of a `Controller`."""
-        self._since = None
+        self.since = None
 
     def check(self, limit: Array, gravity: Array, now: float) -> None:
         """Warn once, if a torque limit has been too low for `LOW_TIME`.
@@ -179,10 +182,10 @@ class LowTorqueWarning:
         weight = np.abs(gravity)
         short = (limit < LOW_SHARE * weight) & (limit + self._friction < weight)
         if self._is_warned or not short.any():
-            self._since = None
+            self.since = None
             return
-        self._since = now if self._since is None else self._since
-        if now - self._since <= LOW_TIME:
+        self.since = now if self.since is None else self.since
+        if now - self.since <= LOW_TIME:
             return
         self._is_warned = True
         joint = int(np.where(short, weight - limit, -np.inf).argmax())
@@ -232,8 +235,11 @@ class ArmIO:
             self.servos,
             self.thermal,
             chain=self.joints.chain.tolist(),
+            extra=self.joints.extra,
             kp=self._kp,
             max_torque=self._usable,
+            max_jumps=MAX_JUMPS,
+            max_heat=TOO_HOT,
         )
         self._low_torque = LowTorqueWarning(model, self.servos)
         self.orders: dict[str, tuple[float, float]] = {}
@@ -244,9 +250,9 @@ class ArmIO:
         self._goals, self._limits, self._is_sent = np.zeros(size), np.zeros(size), False
         # Read-only arrays (N,): states hold views of them, so a change creates a new array.
         self._voltage = self._temperature = _with_entry(np.full(size, np.nan), 0, np.nan)
-        self._chain_voltage = self._chain_temperature = self._voltage[self.joints.select]
-        # Last voltage [V] and temperature [°C] by joint name; None: not known.
-        self._supply: dict[str, tuple[float | None, float | None]] = {}
+        self._set_supply()
+        # Last status by joint name.
+        self._statuses: dict[str, ServoStatus] = {}
         self._reported: dict[str, tuple[str, ...]] = {}
         # Last reading of all joints.
         self._sample = JointReadings(np.full(size, np.nan), np.zeros(size, dtype=bool), 0.0)
@@ -281,7 +287,10 @@ class ArmIO:
             sample = self.drive.read()
         except ServoTimeoutError:
             # No joint has answered; each keeps its last values.
-            sample = replace(self._sample, ok=np.zeros(len(self.joints.names), dtype=bool))
+            last, unread = self._sample, np.zeros(len(self.joints.names), dtype=bool)
+            sample = JointReadings(
+                last.position, unread, last.time, last.velocity, last.load, last.current
+            )
         finally:
             self._last_access = now = self.clock.now()
         self._sample = sample
@@ -290,37 +299,15 @@ class ArmIO:
             if gap > 0.5 * self._watchdog:
                 self._rearm()
         passed, self._last_update = now - self._last_update, now
-        is_fresh, q, time, off_chain, age, dq, load, current, is_suspect = self._limiter.update(
+        state, is_suspect = self._limiter.update(
             self.positions,
-            sample.position,
-            sample.ok,
-            sample.time,
-            sample.velocity,
-            sample.load,
-            sample.current,
-            goal=self._goals,
-            limit=self._limits,
-            dt=passed if self._is_sent else 0.0,
-            now=now,
-            max_jumps=MAX_JUMPS,
-            max_heat=TOO_HOT,
+            sample,
+            self._goals,
+            self._limits,
+            passed if self._is_sent else 0.0,
+            now,
         )
-        # The constructor of a frozen dataclass makes a call per attribute.
-        state = object.__new__(State)
-        state.__dict__.update(
-            q=q,
-            dq=dq,
-            time=time,
-            fresh=is_fresh,
-            extra=dict(zip(self.joints.extra, off_chain, strict=True)),
-            age=age,
-            load=load,
-            current=current,
-            voltage=self._chain_voltage,
-            temperature=self._chain_temperature,
-            faults=self.faults() if is_suspect or self._reported else (),
-        )
-        return state
+        return state.replace(faults=self.faults()) if is_suspect or self._reported else state
 
     def faults(self) -> tuple[str, ...]:
         """Return the present faults of the servos, one sentence each."""
@@ -508,10 +495,10 @@ class ArmIO:
         self.orders = orders
         goals, limits, speeds, gravity = limited
         self._transmit(goals, limits, speeds)
-        if gravity is None:
-            self._low_torque.reset()
-        else:
+        if gravity is not None:
             self._low_torque.check(np.asarray(limit), gravity, self.clock.now())
+        elif self._low_torque.since is not None:
+            self._low_torque.reset()
 
     def _check_command(
         self, goal: ArrayLike, limit: ArrayLike, velocity: ArrayLike | None
@@ -575,7 +562,9 @@ class ArmIO:
         self._goals, self._limits, self._is_sent = goals, limits, True
         self.drive.write(goals, limits, speeds)
         self._last_access = self.clock.now()
-        self._update_status(self.drive.poll_status())
+        status = self.drive.poll_status()
+        if status is not None and status is not self._statuses.get(status.name):
+            self._update_status(status)
 
     def _in_drive_order(self, goal: Array, limit: Array) -> tuple[Array, Array]:
         """Extend goals and limits of the chain (n,) to all joints (N,), with values of `orders`.
@@ -589,13 +578,12 @@ class ArmIO:
         goals = self.joints.join(goal, np.array([order[0] for order in orders]))
         return goals, self.joints.join(limit, max_lead)
 
-    def _update_status(self, status: ServoStatus | None) -> None:
-        """Store voltage, temperature and faults of the servo in `status`; None: do nothing."""
-        if status is None:
-            return
-        name, supply = status.name, (status.voltage, status.temperature)
-        if supply != self._supply.get(name):
-            self._supply[name] = supply
+    def _update_status(self, status: ServoStatus) -> None:
+        """Store voltage, temperature and faults of the servo in `status`."""
+        name, last = status.name, self._statuses.get(status.name)
+        self._statuses[name] = status
+        supply = (status.voltage, status.temperature)
+        if last is None or supply != (last.voltage, last.temperature):
             self._store_supply(self.joints.index(name), *supply)
         if status.faults:
             self._reported[name] = status.faults
@@ -606,11 +594,15 @@ class ArmIO:
         """Store voltage [V] and temperature [°C] of a joint; None keeps the last value."""
         if voltage is not None:
             self._voltage = _with_entry(self._voltage, index, voltage)
-            self._chain_voltage = self._voltage[self.joints.select]
         if temperature is not None:
             self.thermal.set_temperature(index, temperature)
             self._temperature = _with_entry(self._temperature, index, temperature)
-            self._chain_temperature = self._temperature[self.joints.select]
+        self._set_supply()
+
+    def _set_supply(self) -> None:
+        """Pass voltages and temperatures of the chain to the limiter, for the next states."""
+        select = self.joints.select
+        self._limiter.set_supply(self._voltage[select], self._temperature[select])
 
 
 def _with_entry(values: Array, index: int, value: float | None) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import mmap
 import os
 import sys
 import threading
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING
 from pliant._core import ServoError, ServoTimeoutError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
 
 #: Python's thread switch interval while the watchdog thread lowers the arm [s]. With the default of
 #: 5 ms, another busy thread would delay every bus call by half a control period of 10 ms.
@@ -22,6 +23,29 @@ SWITCH_INTERVAL = 1e-4
 def private_heartbeat() -> memoryview[float]:
     """Return memory for `Supervisor.heartbeat` that no other process reads."""
     return memoryview(bytearray(16)).cast("d")
+
+
+#: `madvise` option of Linux: the memory is 0 in a process that is forked from this one.
+MADV_WIPEONFORK = 18
+
+
+def _not_forked() -> Sequence[int]:
+    """Return a sequence whose entry 0 is true only in the process that has imported this module.
+
+    Unlike `os.getpid`, reading it is no system call. It is also right if C code has forked. On a
+    system without such memory it is always 0.
+    """
+    try:
+        page = mmap.mmap(-1, mmap.PAGESIZE, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+        page.madvise(MADV_WIPEONFORK)
+    except (AttributeError, OSError, ValueError):
+        return (0,)
+    page[0] = 1
+    return memoryview(page)
+
+
+#: Entry 0 is true if this process is not forked from another one after the import.
+_NOT_FORKED = _not_forked()
 
 
 class ShortSwitchInterval:
@@ -86,8 +110,7 @@ class Supervisor:
             ServoError: Another process switched torque on.
             ServoTimeoutError: The watchdog thread has taken the arm over.
         """
-        owner = self.owner
-        if self.reason is not None or (owner is not None and owner != os.getpid()):
+        if self.reason is not None or not _NOT_FORKED[0]:
             self.check()
         self.lock.acquire()
         if self.reason is not None:
@@ -110,10 +133,9 @@ class Supervisor:
             ServoTimeoutError: The watchdog thread has taken the arm over, or is lowering it.
             ServoError: Another process switched the torque of the arm on.
         """
-        owner = self.owner
-        if owner is not None and owner != os.getpid():
+        if not _NOT_FORKED[0] and self.is_owned_elsewhere:
             raise ServoError(
-                f"this arm belongs to process {owner}, which switched its torque on; this is "
+                f"this arm belongs to process {self.owner}, which switched its torque on; this is "
                 f"process {os.getpid()}, forked from it: read and write there, and send the data "
                 "to this process"
             )

@@ -590,7 +590,8 @@ class Arm:
                 gone.
         """
         with self._supervisor:
-            self._check_enabled()
+            if self._supervisor.owner is None:
+                self._check_enabled()
             self._io.write(goal, limit, extra, lead=lead, velocity=velocity)
 
     def supervised(self, patience: float) -> AbstractContextManager[Callable[[], None]]:

@@ -51,6 +51,20 @@ class ReadBack:
     write: int = -1
 
 
+class Changes:
+    """Numbers of changes of the servos of a bus: results stay valid while the number is the same.
+
+    Attributes:
+        torque: Number of changes of `Device.enabled`.
+        status: Number of changes of torque, status or faults.
+    """
+
+    __slots__ = ("status", "torque")
+
+    def __init__(self) -> None:
+        self.torque = self.status = 0
+
+
 class Device:
     """State of one servo.
 
@@ -59,6 +73,7 @@ class Device:
         joint: Index of the joint in all vectors of the bus.
         id: Id of the servo on the bus.
         sign: +1 if counts rise with the joint angle, else -1.
+        changes: Counter of changes, also those of the other servos of the bus; None: a new one.
 
     Attributes:
         units: Unit conversions at the latest supply voltage.
@@ -70,7 +85,6 @@ class Device:
         multi_turn: True if goals may exceed one turn.
         overload: Share of the full torque above which overload protection acts; None: never.
         wraparound: Counts per turn, if positions wrap around after a turn; else None.
-        enabled: True if this program switched the torque on, or took over a servo with torque on.
         torque_on: True if torque was on at the last reading of Torque Enable.
         torque_unknown: True if torque may be on, because the servo has not answered since a program
             ended, or has not confirmed that torque is off.
@@ -94,8 +108,11 @@ class Device:
             taken them yet.
     """
 
-    def __init__(self, spec: ServoSpec, joint: int, id: int, sign: int) -> None:
+    def __init__(
+        self, spec: ServoSpec, joint: int, id: int, sign: int, changes: Changes | None = None
+    ) -> None:
         """Store joint, id and sign; the other values are defaults until the servo is read."""
+        self.changes = Changes() if changes is None else changes
         self.spec, self.joint, self.id = spec, joint, id
         self.row: ServoModel = spec.row
         self.family: Family = self.row.family
@@ -109,7 +126,7 @@ class Device:
         self.overload: float | None = self.row.overload
         self.min_voltage, self._last_good_voltage = 0.0, 0.0
         self.alerts = 0
-        self.enabled = self.torque_on = self.torque_unknown = False
+        self._enabled = self.torque_on = self.torque_unknown = False
         self.is_unrestored = False
         self.voltage: float | None = None
         self.temperature: float | None = None
@@ -150,8 +167,20 @@ class Device:
         assert self._codec is not None, "attach comes first"
         return self._codec
 
+    @property
+    def enabled(self) -> bool:
+        """True if this program switched the torque on, or took over a servo with torque on."""
+        return self._enabled
+
+    @enabled.setter
+    def enabled(self, enabled: bool) -> None:
+        self._enabled = enabled
+        self.changes.torque += 1
+        self.changes.status += 1
+
     def configure(self) -> None:
         """Pass changed registers, units and bounds to the codec."""
+        self.changes.status += 1
         row, units, torque_offset = self.row, self.units, self.spec.torque_offset
         uses_current = row.limit_type == "current"
         scale = (units.torque_per_unit, torque_offset) if uses_current else (units.load(1), 0.0)
@@ -275,9 +304,11 @@ class Device:
         _, turns, _, voltage, temperature, supplied, rejected, jump = self._reading()
         if not is_accepted:
             if rejected >= MAX_JUMPS:
-                self.other_faults["jump"] = (
+                self.fault(
+                    "jump",
+                    True,
                     f"its position jumped by {jump:.2f} rad, which it cannot have moved: encoder "
-                    "fault, slipped horn or loose gear. Torque off, then check its zero"
+                    "fault, slipped horn or loose gear. Torque off, then check its zero",
                 )
             return False
         self.fault("seam", turns != 0.0 and not self.multi_turn, SEAM_TEXT)
@@ -295,16 +326,25 @@ class Device:
         """
         block, data, _, time = reply
         self.has_new_status = block in self.family.read_with_status[:1]
-        if self.has_new_status and self.enabled and not (self.has_mismatch or self.other_faults):
-            start = self.family.write_blocks[0].address - block.address
-            is_on = data[self.family.registers["torque_enable"].address - block.address] == 1
-            packet = self._sent[-1]
-            if is_on and data[start : start + len(packet)] == packet != b"":
-                self.torque_on = True
-                for read_back in self._read_backs.values():
-                    read_back.wrong, read_back.matched = 0, time
-                return
-        self.note(reply)
+        if (
+            self.has_new_status
+            and self.is_driven
+            and self.codec.has_command(self.index, data, block.address)
+        ):
+            self.note_command(time)
+        else:
+            self.note(reply)
+
+    @property
+    def is_driven(self) -> bool:
+        """True if torque is on and neither a fault nor a mismatch of registers is known."""
+        return self._enabled and not (self.has_mismatch or self.other_faults)
+
+    def note_command(self, time: float) -> None:
+        """Note that at `time` [s] all status registers of a driven servo were as written."""
+        self.has_new_status = self.torque_on = True
+        for read_back in self._read_backs.values():
+            read_back.wrong, read_back.matched = 0, time
 
     def note(self, reply: Reply) -> None:
         """Store the values of status registers in a reply, and update the faults that they show."""
@@ -316,6 +356,7 @@ class Device:
 
         `status_byte` is the status of the reply.
         """
+        self.changes.status += 1
         if "hardware_error" in values:
             self.note_hardware_error(values["hardware_error"])
         if status_byte or self.conditions:
@@ -334,7 +375,7 @@ class Device:
             self._compare("goal", values["goal"], goal, time)
         if "torque_enable" in values:
             self.torque_on, self.torque_unknown = bool(values["torque_enable"]), False
-            went_off = (self.enabled or "torque" in self.other_faults) and not self.torque_on
+            went_off = (self._enabled or "torque" in self.other_faults) and not self.torque_on
             if went_off or self.other_faults:
                 self.fault("torque", went_off, "its torque went off by itself")
             if went_off:
@@ -355,7 +396,7 @@ class Device:
     @property
     def is_refusing(self) -> bool:
         """True if goals are known not to reach the servo, or to be rejected."""
-        return self.enabled and (self.tripped or self._read_backs["goal"].wrong >= MISMATCHES)
+        return self._enabled and (self.tripped or self._read_backs["goal"].wrong >= MISMATCHES)
 
     def set_voltage(self, volts: float, time: float) -> None:
         """Store the supply voltage [V], read at `time` [s], and update the unit conversions.
@@ -381,14 +422,15 @@ class Device:
     def accept_any_position(self) -> None:
         """Accept any position at the next reading, because a joint without torque can be moved."""
         self.codec.accept_any(self.index, nan, 0.0, 0.0)
-        self.other_faults.pop("jump", None)
+        self.fault("jump", False, "")
 
     def fault(self, key: str, is_wrong: bool, text: str) -> None:
         """Set the fault of the topic `key` with this text if `is_wrong`, else clear it."""
         if is_wrong:
             self.other_faults[key] = text
-        else:
-            self.other_faults.pop(key, None)
+            self.changes.status += 1
+        elif self.other_faults.pop(key, None) is not None:
+            self.changes.status += 1
 
     @property
     def has_suspect_register(self) -> bool:
@@ -418,7 +460,7 @@ class Device:
             time: Time of the reading [s].
         """
         read_back = self._read_backs[key]
-        if not self.enabled or value == written:
+        if not self._enabled or value == written:
             read_back.wrong, read_back.matched = 0, time
         elif read_back.write != (write := self._sent[2]):
             read_back.wrong += 1

@@ -452,7 +452,7 @@ def _try_off(device: Device, ports: Ports) -> str | None:
     device.enabled = False
     device.accept_any_position()
     for key in ("torque", "limit", "goal"):
-        device.other_faults.pop(key, None)
+        device.fault(key, False, "")
     device.torque_unknown = device.is_unrestored = True
     try:
         _set(device, ports, "torque_enable", 0)

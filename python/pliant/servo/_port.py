@@ -2,18 +2,30 @@
 
 from __future__ import annotations
 
+import sys
 import time
-from math import ceil
+from math import ceil, inf
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from pliant._core import JointReadings
 from pliant.drive import ServoStatus
-from pliant.servo._transactions import BITS_PER_BYTE, Reply, TransactionGuard, wire_time
-from pliant.servo.transport import BusError, Decoder, RustypotTransport
+from pliant.servo._transactions import (
+    BITS_PER_BYTE,
+    GroupReplies,
+    Reply,
+    TransactionGuard,
+    wire_time,
+)
+from pliant.servo.transport import BusError, RustypotTransport
+
+if sys.platform != "win32":
+    from pliant._core import ServoGroup
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 
+    from pliant._core import SerialPort
     from pliant.servo._device import Device
     from pliant.servo.models.base import Block
     from pliant.servo.models.base import Protocol as Wire
@@ -37,21 +49,32 @@ class Group:
 
     Attributes:
         devices: The servos.
+        last: The last of them.
         family: Their family.
         ids: Ids of the servos.
+        sync_read: True if one request can read all of them.
+        read: Blocks of a reading, see `Family.read`.
+        write_blocks: Block of each packet of a command.
         indices: Indices of the servos in the codec.
-        decoder: Codec that stores readings while the replies arrive; None if the transport does not
-            support it.
+        core: The servos in the core, which makes a request with conversion of the registers in one
+            call; None if the transport does not support it.
         read_with_status: Blocks of a reading that contains the status registers too; empty: they
             are read separately.
+        is_plain: True if the shortest block of a reading contains no status register.
     """
 
-    def __init__(self, devices: Sequence[Device]) -> None:
+    def __init__(self, devices: Sequence[Device], serial: SerialPort | None = None) -> None:
         self.devices, self.family = devices, devices[0].family
+        self.last = devices[-1]
         self.ids = [device.id for device in devices]
         self.indices = [device.index for device in devices]
+        self.sync_read, self.read = self.family.sync_read, self.family.read
+        self.write_blocks = self.family.write_blocks
         self.read_with_status = self.family.read_with_status
-        self.decoder: Decoder | None = None
+        self.is_plain = not self.family.layout(self.family.read[0]).has_status
+        self.core: ServoGroup | None = None
+        if serial is not None:
+            self.core = ServoGroup(serial, devices[0].codec, self.indices, self.ids)
 
 
 class Port:
@@ -95,7 +118,7 @@ class Port:
         self.highest = 253 if protocol == "p1" else 252
         self.latency = latency_timer(path)
         self._io = open_transport(path, baudrate, protocol)
-        self._has_codec = getattr(self._io, "has_codec", False)
+        self._serial: SerialPort | None = getattr(self._io, "serial", None)
         ids = {device.id for device in self.devices}
         self.guard = TransactionGuard(
             self._io,
@@ -115,7 +138,14 @@ class Port:
         self._silent: dict[int, int] = {}
         self.has_watchdog = any("watchdog" in device.family.registers for device in devices)
         self._read_groups = self._grouped(self.devices)
-        self._write_groups = write_groups(self.devices)
+        # The group of all servos, if its readings and its status can be read with one request.
+        first, *others = self._read_groups
+        has_one = first.sync_read and first.is_plain and first.read_with_status and not others
+        self._only_group = first if has_one else None
+        self._changes, self._seen = self.devices[0].changes, -1
+        # Groups of the servos with torque on, and True if these are all servos.
+        self._write_groups: list[Group] = []
+        self._drives_all = False
 
     @property
     def responsive(self) -> list[Device]:
@@ -144,7 +174,7 @@ class Port:
         """Close the port; the servos hold their last goal and limit."""
         self._io.close()
 
-    def read(self, budget: float) -> list[int]:
+    def read(self, budget: float) -> JointReadings | list[int]:
         """Read all servos with one request; if it fails, read them one by one.
 
         Args:
@@ -152,17 +182,39 @@ class Port:
 
         Returns:
             Indices of the servos whose reading was received and is plausible; none if the port is
-            gone.
+            gone. If all readings are usual, and all servos of the bus are on this port and in one
+            group, the readings of the joints.
         """
-        self.guard.start_cycle(budget)
         accepted: list[int] = []
-        groups = self._grouped(self.responsive) if self._silent else self._read_groups
+        group, guard = self._only_group, self.guard
         try:
-            for group in groups:
-                if group.family.sync_read:
-                    self._read_group(group, accepted)
+            if (
+                group is not None
+                and group.core is not None
+                and group.last.has_new_status
+                and guard.is_clear
+                and not (self._misses or budget == inf)
+            ):
+                # Nearly every cycle: a reading without status, after a cycle without a failure.
+                try:
+                    found = guard.read_at_once(
+                        group.core, group.ids, group.read[0], self._restart, budget
+                    )
+                except BusError as error:
+                    self._read_again(group, error, accepted)
                 else:
-                    self._read_each(group, accepted)
+                    if isinstance(found, JointReadings):
+                        return found
+                    self._note_found(group, found, accepted)
+            else:
+                guard.start_cycle(budget)
+                for group in self._grouped(self.responsive) if self._silent else self._read_groups:
+                    if group.sync_read:
+                        readings = self._read_group(group, accepted)
+                        if readings is not None:
+                            return readings
+                    else:
+                        self._read_each(group, accepted)
             if self._silent:
                 self._probe(accepted)
         except BusError:
@@ -171,16 +223,14 @@ class Port:
 
     def _grouped(self, devices: Iterable[Device]) -> list[Group]:
         """Return the devices in groups; one sync read, or single reads, read a group."""
-        groups = _groups(devices, lambda device: (device.family.sync_read, device.family.read))
+        groups = _groups(
+            devices, lambda device: (device.family.sync_read, device.family.read), self._serial
+        )
         for group in groups:
             read, with_status = group.family.read, group.read_with_status
             longer = len(group.ids) * (with_status[0].size - read[0].size) if with_status else 0
             if longer * BITS_PER_BYTE / self._baudrate > STATUS_SHARE * self._cycle:
                 group.read_with_status = ()
-            if self._has_codec:
-                codec, layout = group.devices[0].codec, group.family.layout
-                plain = next((block for block in read if not layout(block).has_status), None)
-                group.decoder = Decoder(codec, group.indices, self._restart, plain)
         return groups
 
     def _accept(self, replies: Sequence[tuple[Device, Reply]], accepted: list[int]) -> None:
@@ -222,9 +272,10 @@ class Port:
             Ids of the servos without a reply.
         """
         silent: set[int] = set()
-        for group in _groups(devices, lambda d: (d.family.sync_read, d.family.block(name))):
+        groups = _groups(devices, lambda d: (d.family.sync_read, d.family.block(name)), None)
+        for group in groups:
             block = group.family.block(name)
-            if group.family.sync_read and len(group.ids) > 1:
+            if group.sync_read and len(group.ids) > 1:
                 try:
                     block, answers, time = self.guard.sync_read(group.ids, block)
                 except BusError as error:
@@ -306,18 +357,18 @@ class Port:
             ShapeError, OutOfRangeError: See `ServoCodec.encode`; nothing was sent.
             BusError: A packet could not be sent.
         """
-        groups = self._write_groups
-        enabled = [device for device in self.devices if device.enabled]
-        if len(enabled) < len(self.devices):
-            groups = write_groups(enabled)
+        if self._seen != self._changes.torque:
+            self._seen = self._changes.torque
+            enabled = [device for device in self.devices if device.enabled]
+            self._drives_all = len(enabled) == len(self.devices)
+            self._write_groups = write_groups(enabled, self._serial)
+        if not self._drives_all:
             self.devices[0].codec.encode([], *command)
-        for group in groups:
-            codec = group.devices[0].codec
-            if self._has_codec:
-                blocks = group.family.write_blocks
-                self.guard.sync_encode(group.ids, blocks, codec, group.indices, command)
+        for group in self._write_groups:
+            if group.core is not None:
+                self.guard.sync_encode(group.core, len(group.ids), group.write_blocks, command)
             else:
-                goals, limits, _, *data = codec.encode(group.indices, *command)
+                goals, limits, _, *data = group.devices[0].codec.encode(group.indices, *command)
                 self.send(group, goals, limits, data)
 
     def send(
@@ -348,32 +399,66 @@ class Port:
             return False
         return True
 
-    def _read_group(self, group: Group, accepted: list[int]) -> None:
+    def _read_group(self, group: Group, accepted: list[int]) -> JointReadings | None:
         """Read several servos with one request; add the indices of plausible ones to `accepted`.
 
         If the request fails, read the servos one by one, the servo that failed last. The reading
         includes the status registers when `StatusPoller` has used the previous status of every
         servo, the last one last. This saves a separate status request in each cycle.
+
+        Returns:
+            The readings of the joints, if they are usual and the bus has no other servos.
         """
-        decoder = None if self._misses else group.decoder
-        blocks = group.read_with_status
-        if not blocks or group.devices[-1].has_new_status:
-            blocks = group.family.read
+        decoder = None if self._misses else group.core
+        blocks, is_usual, has_status = group.read, group.is_plain, False
+        if group.read_with_status and not group.last.has_new_status:
+            blocks, has_status = group.read_with_status, True
+            is_usual = all(device.is_driven for device in group.devices)
         try:
-            reading = self.guard.sync_decode(group.ids, blocks, decoder)
+            found = self.guard.sync_decode(
+                group.ids, blocks, decoder, self._restart, usual=is_usual
+            )
         except BusError as error:
-            error.raise_if_gone()
-            self._read_each(group, accepted, last=error.id, again=False)
-            return
-        block, answers, notable, time = reading
-        if answers is None:
+            self._read_again(group, error, accepted)
+            return None
+        if has_status and not isinstance(found, GroupReplies):
+            for device in group.devices:
+                device.note_command(device.time)
+        if isinstance(found, JointReadings):
+            return found
+        self._note_found(group, found, accepted, has_decoder=decoder is not None)
+        return None
+
+    def _read_again(self, group: Group, error: BusError, accepted: list[int]) -> None:
+        """Read servos one by one after the failure `error` of a request to all of them."""
+        error.raise_if_gone()
+        self._read_each(group, accepted, last=error.id, again=False)
+
+    def _note_found(
+        self,
+        group: Group,
+        found: GroupReplies | None,
+        accepted: list[int],
+        *,
+        has_decoder: bool = True,
+    ) -> None:
+        """Store the readings of a group; add the indices of plausible ones to `accepted`.
+
+        Args:
+            group: The servos.
+            found: Their replies; None: they are usual and stored.
+            accepted: List that gets the indices.
+            has_decoder: True if the core has stored the readings that need no look.
+        """
+        if found is None:
             accepted += group.indices
             return
+        block, answers, notable, time = found
         if self._misses:
             replies = [Reply(block, data, status, time) for data, status in answers]
             self._accept(list(zip(group.devices, replies, strict=True)), accepted)
             return
-        if decoder is None:
+        if not has_decoder:
             codec = group.devices[0].codec
             notable = codec.decode(group.indices, answers, block.address, time, self._restart)
         has_status = group.family.layout(block).has_status
@@ -466,17 +551,19 @@ def latency_timer(path: str) -> float | None:
         return None
 
 
-def _groups(devices: Iterable[Device], key: Callable[[Device], Hashable]) -> list[Group]:
+def _groups(
+    devices: Iterable[Device], key: Callable[[Device], Hashable], serial: SerialPort | None
+) -> list[Group]:
     """Return groups of the devices with equal keys, in the order in which the keys first appear."""
     groups: dict[Hashable, list[Device]] = {}
     for device in devices:
         groups.setdefault(key(device), []).append(device)
-    return [Group(members) for members in groups.values()]
+    return [Group(members, serial) for members in groups.values()]
 
 
-def write_groups(devices: Iterable[Device]) -> list[Group]:
-    """Return groups of the devices whose registers one packet can write."""
-    return _groups(devices, lambda device: device.family.write)
+def write_groups(devices: Iterable[Device], serial: SerialPort | None = None) -> list[Group]:
+    """Return groups of the devices whose registers one packet can write, on the port `serial`."""
+    return _groups(devices, lambda device: device.family.write, serial)
 
 
 #: Topics of faults that move a servo to the front of the status readings.
@@ -499,11 +586,15 @@ class StatusPoller:
         self._joints = joints
         self._devices = [device for joint in joints for device in joint]
         self._steps = [(d, block) for d in self._devices for block in d.family.status_blocks]
-        self._reads_torque = any(d.family.status == "p2" for d in self._devices)
         self._next = 0
+        self._reads_torque = any(d.family.status == "p2" for d in self._devices)
         self._reported: set[int] = set()
         self._is_repeat = False
         self._block_index = self._count = 0
+        # Valid while the number of changes is `_seen`: servos with a fault, and statuses by joint.
+        self._changes, self._seen = self._devices[0].changes, -1
+        self._doubtful: list[Device] = []
+        self._statuses: dict[int, ServoStatus] = {}
 
     def step(self, ports: Mapping[int, Port]) -> ServoStatus | None:
         """Read one status block, and return the status of the servo's joint.
@@ -517,11 +608,24 @@ class StatusPoller:
         Raises:
             BusError: The port is gone.
         """
-        self._count += 1
-        if self._reads_torque and self._count % TORQUE_PERIOD == 0 and self._check_torque(ports):
-            return None
-        device, block = self._choose()
-        if block is None or (guard := ports[id(device)].guard).is_gone:
+        if self._reads_torque:
+            self._count += 1
+            if self._count % TORQUE_PERIOD == 0 and self._check_torque(ports):
+                return None
+        if self._seen != self._changes.status:
+            self._note_changes()
+        chosen = self._choose() if self._doubtful or self._reported else None
+        if chosen is None:
+            self._is_repeat = False
+            chosen = self._steps[self._next]
+            self._next = (self._next + 1) % len(self._steps)
+            device = chosen[0]
+            if device.has_new_status:
+                device.has_new_status = False
+                return self._statuses.get(device.joint) or self._status(device.joint)
+        device, block = chosen
+        guard = ports[id(device)].guard
+        if guard.is_gone:
             return self._status(device.joint)
         try:
             device.note(guard.read(device.id, block))
@@ -557,16 +661,11 @@ class StatusPoller:
         # False: the caller reads the status of a servo that lost its torque in the same cycle.
         return all(d.enabled for d in enabled)
 
-    def _choose(self) -> tuple[Device, Block | None]:
-        """Return the next servo and the block to read; None if its last reading contained it."""
-        doubtful = [
-            device
-            for device in self._devices
-            if device.conditions or device.other_faults or device.has_mismatch
-        ]
+    def _choose(self) -> tuple[Device, Block] | None:
+        """Return a servo with a fault, and the block to read; None: the next servo in turn."""
         if self._reported:
-            self._reported.intersection_update(map(id, doubtful))
-        for device in doubtful:
+            self._reported.intersection_update(map(id, self._doubtful))
+        for device in self._doubtful:
             if device.has_suspect_register and not self._is_repeat:
                 self._is_repeat = True
                 blocks = device.family.stored_command_blocks
@@ -578,15 +677,28 @@ class StatusPoller:
                 return device, device.family.status_blocks[0]
             if not is_urgent:
                 self._reported.discard(id(device))
-        self._is_repeat = False
-        device, block = self._steps[self._next]
-        self._next = (self._next + 1) % len(self._steps)
-        if device.has_new_status:
-            device.has_new_status = False
-            return device, None
-        return device, block
+        return None
+
+    def _note_changes(self) -> None:
+        """Find the servos with a fault again, and discard the statuses."""
+        self._seen = self._changes.status
+        self._statuses.clear()
+        self._doubtful = [
+            device
+            for device in self._devices
+            if device.conditions or device.other_faults or device.has_mismatch
+        ]
 
     def _status(self, joint: int) -> ServoStatus:
+        """Return the status of a joint; the same object as long as there are no changes."""
+        if self._seen != self._changes.status:
+            self._note_changes()
+        status = self._statuses.get(joint)
+        if status is None:
+            status = self._statuses[joint] = self._new_status(joint)
+        return status
+
+    def _new_status(self, joint: int) -> ServoStatus:
         devices = self._joints[joint]
         first = devices[0]
         if len(devices) == 1:

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
-from math import isinf
+from math import inf
 from typing import TYPE_CHECKING, Literal, NamedTuple, ParamSpec, TypeVar
 
 from pliant._core import ConfigError
@@ -26,10 +26,10 @@ from pliant.servo.transport import BusError
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
-    from pliant._core import ServoCodec
+    from pliant._core import JointReadings, ServoGroup
     from pliant.servo.models.base import Protocol
     from pliant.servo.models.base import Protocol as Wire
-    from pliant.servo.transport import Command, Decoder, Transport
+    from pliant.servo.transport import Command, Transport
 
 
 BITS_PER_BYTE = 10
@@ -268,6 +268,29 @@ class Reply(NamedTuple):
     time: float
 
 
+if TYPE_CHECKING:
+    #: Result of `ServoGroup.read`.
+    _Decoded = (
+        JointReadings | tuple[list[tuple[bytes, int]] | bytes, list[tuple[int, bool | None]]] | None
+    )
+
+
+class GroupReplies(NamedTuple):
+    """Replies of several servos to one request, whose readings the core has decoded.
+
+    Attributes:
+        block: Block of registers that was read.
+        answers: Bytes of the block, and error byte, of each servo.
+        notable: Readings that need attention, see `ServoCodec.decode`.
+        time: Time of the request [s].
+    """
+
+    block: Block
+    answers: list[tuple[bytes, int]]
+    notable: list[tuple[int, bool | None]]
+    time: float
+
+
 class TransactionGuard:
     """Requests on one port, with timeouts, retries, counters and rejection of late replies.
 
@@ -286,8 +309,6 @@ class TransactionGuard:
 
     Attributes:
         counters: Event counters.
-        response_delay: Longest time from request to reply of a servo [s].
-        latency: Latency timer of the USB adapter [s].
         held_back: Shortest delay of a reply beyond its wire time [s].
         unused_id: Id without a servo; pings to it drain the line.
         is_gone: True if the port has vanished; every request then fails at once.
@@ -309,26 +330,46 @@ class TransactionGuard:
     ) -> None:
         """Store the parameters of the port; send no request yet."""
         self.counters = Counters()
-        self.response_delay = RESPONSE_DELAY
+        self._response_delay, self._latency = RESPONSE_DELAY, latency
         self.is_gone = self.is_noisy = False
-        self.latency, self.held_back = latency, float("inf")
+        self.held_back = float("inf")
         self._io, self._protocol, self.unused_id = transport, protocol, unused_id
         self._baudrate, self._cycle = baudrate, cycle
         self._clock, self._sample_clock = clock, sample_clock or clock
-        self._deadline = float("inf")
+        self._deadline, self._is_relaxed = float("inf"), True
         self._is_dirty = False
         self._timeout = self._reply_timeout = self._wire = 0.0
         self._reply_timeout_min = reply_timeout_min
         self._pending = PendingReplies()
         # Wire time and reply timeout [s] of each kind of request so far.
-        self._times: dict[tuple[Kind, int, int, float, float], tuple[float, float]] = {}
+        self._times: dict[tuple[Kind, int, int], tuple[float, float]] = {}
+
+    @property
+    def response_delay(self) -> float:
+        """Longest time from request to reply of a servo [s]."""
+        return self._response_delay
+
+    @response_delay.setter
+    def response_delay(self, seconds: float) -> None:
+        self._response_delay = seconds
+        self._times.clear()
+
+    @property
+    def latency(self) -> float:
+        """Latency timer of the USB adapter [s]."""
+        return self._latency
+
+    @latency.setter
+    def latency(self, seconds: float) -> None:
+        self._latency = seconds
+        self._times.clear()
 
     def start_cycle(self, budget: float = float("inf")) -> None:
         """Start a control cycle: retries and drains end within `budget` [s] from now.
 
         Outside of control cycles the budget is infinite, with longer timeouts and more tries.
         """
-        self._deadline = self._clock() + budget
+        self._deadline, self._is_relaxed = self._clock() + budget, budget == inf
 
     def expect_late_replies(self) -> None:
         """Drain the line before the next request: replies to an ended program may still come."""
@@ -367,24 +408,32 @@ class TransactionGuard:
         Raises:
             BusError: At least one reply is missing or corrupt.
         """
-        block, answers, _, start = self.sync_decode(ids, blocks, None)
-        assert answers is not None, "only a decoder leaves them out"
-        return block, answers, start
+        found = self.sync_decode(ids, blocks, None)
+        assert isinstance(found, GroupReplies), "only a decoder leaves the bytes out"
+        return found.block, found.answers, found.time
 
     def sync_decode(
-        self, ids: Sequence[int], blocks: Sequence[Block], decoder: Decoder | None
-    ) -> tuple[Block, list[tuple[bytes, int]] | None, list[tuple[int, bool | None]], float]:
-        """Make a `sync_read`, and let the transport store the readings.
+        self,
+        ids: Sequence[int],
+        blocks: Sequence[Block],
+        decoder: ServoGroup | None,
+        longest: float = inf,
+        *,
+        usual: bool = False,
+    ) -> GroupReplies | JointReadings | None:
+        """Make a `sync_read`, and let the core store the readings.
 
         Args:
             ids: Ids of the servos.
             blocks: Alternative blocks of different lengths, see `read`.
-            decoder: Where to store the readings; None: nowhere.
+            decoder: These servos, where the readings are stored; None: nowhere.
+            longest: Age of the last reading above which a reading is not stored [s].
+            usual: True: replies with the first of `blocks` need no look, if the core finds nothing
+                that needs attention, see `ServoGroup.read`.
 
         Returns:
-            Block that was read; bytes and error byte of each servo, None if the decoder needs no
-            look at them; readings that need attention, see `ServoCodec.decode`; time of the request
-            [s].
+            The replies; if they need no look, the readings of all joints, or None if there are
+            other servos.
 
         Raises:
             BusError: At least one reply is missing or corrupt; nothing is stored.
@@ -392,32 +441,109 @@ class TransactionGuard:
         if self._is_dirty or self.is_gone:
             self._clear_line()
         try:
-            missing = self._pending.missing
-            is_clear = not missing or missing.keys().isdisjoint(ids)
-            block = blocks[0] if is_clear else self._choose(ids, blocks)
-            start = self._prepare("sync_read", len(ids), block.size)
-            started = self._clock()
-            answers: list[tuple[bytes, int]] | None
-            notable: list[tuple[int, bool | None]] = []
-            try:
-                if decoder is None:
-                    answers = self._io.sync_read(ids, block.address, block.size)
-                else:
-                    found = self._io.sync_decode(ids, block, decoder, start)  # type: ignore[attr-defined]
-                    answers, notable = (None, notable) if found is None else found
-                if answers is not None:
-                    for id, (data, status) in zip(ids, answers, strict=True):
-                        if len(data) != block.size:
-                            raise _mismatch(id, block, data, status)
-            except BusError:
-                self._pending.add(ids, block.size, started)
-                raise
+            block = self._choose(ids, blocks) if self._pending.missing else blocks[0]
         except BusError as error:
             self._note_failure(error)
             raise
-        if not is_clear:
+        start = self._prepare("sync_read", len(ids), block.size)
+        started = self._clock()
+        found: _Decoded
+        try:
+            if decoder is None:
+                found = self._io.sync_read(ids, block.address, block.size), []
+            else:
+                is_usual = usual and block is blocks[0]
+                found = decoder.read(block, self._timeout, start, longest, is_usual)
+        except BusError as error:
+            self._note_missing(ids, block, started, error)
+            raise
+        except OSError as error:
+            raise self._lost(ids, block, started, error) from error
+        result = (
+            self._checked(ids, block, (start, started), found)
+            if isinstance(found, tuple)
+            else found
+        )
+        if self._pending.missing:
             self._pending.mark_superseded(ids)
-        return block, answers, notable, start
+        return result
+
+    @property
+    def is_clear(self) -> bool:
+        """True if the last request has not failed, and no reply is missing."""
+        return not (self._is_dirty or self.is_gone or self._pending.missing)
+
+    def read_at_once(
+        self, decoder: ServoGroup, ids: Sequence[int], block: Block, longest: float, budget: float
+    ) -> GroupReplies | JointReadings | None:
+        """Start a control cycle with a usual `sync_decode` of one block, if the line `is_clear`.
+
+        This is what happens in nearly every cycle, in as few steps as possible.
+
+        Raises:
+            BusError: At least one reply is missing or corrupt; nothing is stored.
+        """
+        started = self._clock()
+        self._deadline, self._is_relaxed = started + budget, False
+        key: tuple[Kind, int, int] = ("sync_read", len(ids), block.size)
+        self._wire, timeout = self._times.get(key) or self._request_times(*key)
+        self._reply_timeout = timeout
+        self.counters.transactions += 1
+        start = self._sample_clock()
+        try:
+            found = decoder.read(block, timeout, start, longest, True)
+        except OSError as error:
+            raise self._lost(ids, block, started, error) from error
+        if isinstance(found, tuple):
+            return self._checked(ids, block, (start, started), found)
+        return found
+
+    def _checked(
+        self,
+        ids: Sequence[int],
+        block: Block,
+        times: tuple[float, float],
+        found: tuple[list[tuple[bytes, int]] | bytes, list[tuple[int, bool | None]]],
+    ) -> GroupReplies:
+        """Return replies to a sync read, after a check that they have the length of the block.
+
+        Args:
+            ids: Ids of the servos.
+            block: Block that was requested.
+            times: Time of the request on the clock of the readings, and on that of timeouts [s].
+            found: The replies, or bytes that are no valid replies; see `GroupReplies.notable`.
+
+        Raises:
+            BusError: At least one reply is missing or corrupt.
+        """
+        received, notable = found
+        start, started = times
+        try:
+            answers: list[tuple[bytes, int]] = (
+                self._io.broken(received, ids, block.size)  # type: ignore[attr-defined]
+                if isinstance(received, bytes)
+                else received
+            )
+            for id, (data, status) in zip(ids, answers, strict=True):
+                if len(data) != block.size:
+                    raise _mismatch(id, block, data, status)
+        except BusError as error:
+            self._note_missing(ids, block, started, error)
+            raise
+        return GroupReplies(block, answers, notable, start)
+
+    def _lost(self, ids: Sequence[int], block: Block, started: float, error: OSError) -> BusError:
+        """Note that a sync read has failed because of the port, and return the error to raise."""
+        failure: BusError = self._io.lost(error)  # type: ignore[attr-defined]
+        self._note_missing(ids, block, started, failure)
+        return failure
+
+    def _note_missing(
+        self, ids: Sequence[int], block: Block, started: float, error: BusError
+    ) -> None:
+        """Note that replies to a sync read, made at the time `started` [s], are missing."""
+        self._pending.add(ids, block.size, started)
+        self._note_failure(error)
 
     def write(self, id: int, address: int, data: bytes) -> int:
         """Write bytes to one servo, with retries; return the error byte of the reply."""
@@ -440,14 +566,15 @@ class TransactionGuard:
             raise
 
     def sync_encode(
-        self,
-        ids: Sequence[int],
-        blocks: Sequence[Block],
-        codec: ServoCodec,
-        servos: Sequence[int],
-        command: Command,
+        self, encoder: ServoGroup, size: int, blocks: Sequence[Block], command: Command
     ) -> None:
-        """Let the transport encode and send a command; see `RustypotTransport.sync_encode`.
+        """Let the core encode a command, and send it with one packet per block, without reply.
+
+        Args:
+            encoder: The servos.
+            size: Their number.
+            blocks: Block of each packet.
+            command: Command for all joints.
 
         Raises:
             ShapeError, OutOfRangeError: The command is invalid; nothing was sent.
@@ -455,13 +582,16 @@ class TransactionGuard:
         """
         if self.is_gone:
             self.check_port()
-        for block in blocks:
-            self._prepare("sync_write", len(ids), block.size)
+        key: tuple[Kind, int, int] = ("sync_write", size, blocks[-1].size)
+        self._wire, timeout = self._times.get(key) or self._request_times(*key)
+        self._reply_timeout = timeout * RELAXED_FACTOR if self._is_relaxed else timeout
+        self.counters.transactions += len(blocks)
         try:
-            self._io.sync_encode(ids, blocks, codec, servos, command)  # type: ignore[attr-defined]
-        except BusError as error:
-            self._note_failure(error)
-            raise
+            encoder.write(blocks, self._reply_timeout, *command)
+        except OSError as error:
+            failure: BusError = self._io.lost(error)  # type: ignore[attr-defined]
+            self._note_failure(failure)
+            raise failure from error
 
     def ping(self, id: int) -> bool:
         """Return True if a servo answers one ping."""
@@ -510,6 +640,8 @@ class TransactionGuard:
                 error.raise_if_gone()
                 continue
             self.unused_id = number
+            # There is no servo that could still answer.
+            self._pending.missing.pop(number, None)
             return
 
     def _read(self, id: int, blocks: Sequence[Block]) -> Reply:
@@ -559,7 +691,7 @@ class TransactionGuard:
         found = self._pending.choose(ids, blocks, self._clock())
         if found is not None:
             return found
-        if not isinf(self._deadline):
+        if not self._is_relaxed:
             raise BusError(f"id {ids[0]} may still send a late answer like this one", "late")
         for id in ids:
             self._resolve(id)
@@ -580,21 +712,18 @@ class TransactionGuard:
 
         An urgent request has the same timeout outside of control cycles as within.
         """
-        key = (kind, servos, size, self.response_delay, self.latency)
-        times = self._times.get(key)
-        if times is None:
-            times = self._times[key] = self._request_times(kind, servos, size)
-        wire, self._reply_timeout = times
-        if isinf(self._deadline) and not is_urgent:
-            self._reply_timeout *= RELAXED_FACTOR
-        if self._reply_timeout != self._timeout:
-            self._set_timeout(self._reply_timeout)
-        self._wire = wire
+        times = self._times.get((kind, servos, size)) or self._request_times(kind, servos, size)
+        self._wire, timeout = times
+        if self._is_relaxed and not is_urgent:
+            timeout *= RELAXED_FACTOR
+        self._reply_timeout = timeout
+        if timeout != self._timeout:
+            self._set_timeout(timeout)
         self.counters.transactions += 1
         return self._sample_clock()
 
     def _request_times(self, kind: Kind, servos: int, size: int) -> tuple[float, float]:
-        """Return the wire time of a request, and its reply timeout within a cycle [s]."""
+        """Store and return the wire time of a request, and its timeout within a cycle [s]."""
         wire = wire_time(
             self._protocol,
             kind,
@@ -603,7 +732,9 @@ class TransactionGuard:
             baudrate=self._baudrate,
             response_delay=self.response_delay,
         )
-        return wire, reply_timeout(wire, self.latency, self._cycle, self._reply_timeout_min)
+        timeout = reply_timeout(wire, self.latency, self._cycle, self._reply_timeout_min)
+        times = self._times[kind, servos, size] = wire, timeout
+        return times
 
     def _set_timeout(self, timeout: float) -> None:
         self._io.set_timeout(timeout)
@@ -614,7 +745,7 @@ class TransactionGuard:
 
         After a temporary failure, drain the line and call again if the time in the cycle allows.
         """
-        tries = TRIES if isinf(self._deadline) else 2
+        tries = TRIES if self._is_relaxed else 2
         while True:
             try:
                 return call(*args, **options)
@@ -623,7 +754,7 @@ class TransactionGuard:
                 if tries == 0 or error.reason in {"gone", "noisy"}:
                     raise
                 if not self._drain():
-                    if isinf(self._deadline):
+                    if self._is_relaxed:
                         raise BusError(NOISE_MESSAGE, "noisy") from error
                     raise
                 if self._is_late():
@@ -642,7 +773,7 @@ class TransactionGuard:
         """
         self.check_port()
         if self._is_dirty and not self._drain():
-            if isinf(self._deadline):
+            if self._is_relaxed:
                 raise BusError(NOISE_MESSAGE, "noisy")
             raise BusError("no time left in this cycle", "late")
 
@@ -672,7 +803,7 @@ class TransactionGuard:
         must be silent for a reply timeout, and the drain ends after `DRAIN`.
         """
         self.counters.drains += 1
-        is_relaxed = isinf(self._deadline)
+        is_relaxed = self._is_relaxed
         silence = SILENCE_SHARE * self._reply_timeout_min + self._wire + self.latency
         if is_relaxed:
             silence = max(silence, self._reply_timeout)

@@ -10,10 +10,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pliant._core import ConfigError, OutOfRangeError, ServoCodec, ServoError, ShapeError
-from pliant.drive import Clock, JointReadings, ServoStatus
+from pliant._core import (
+    ConfigError,
+    JointReadings,
+    OutOfRangeError,
+    ServoCodec,
+    ServoError,
+    ShapeError,
+)
+from pliant.drive import Clock, ServoStatus
 from pliant.servo import _enable as sequences
-from pliant.servo._device import Device
+from pliant.servo._device import Changes, Device
 from pliant.servo._handshake import ServoInfo, identify
 from pliant.servo._port import Port, StatusPoller
 from pliant.servo._transactions import check_reply_timeout
@@ -134,6 +141,8 @@ class ServoBus:
         self._reset()
         self._port_of: dict[int, Port] = {}
         self._ports: list[Port] = []
+        #: Ports with servos that have a bus watchdog.
+        self._watched_ports: list[Port] = []
         self._pool: ThreadPoolExecutor | None = None
         self._watchdog = 0.0
         # For a `closed_copy`, per path: longest delay of a reply [s], latency of the adapter [s],
@@ -255,7 +264,7 @@ class ServoBus:
         """Close the ports; the servos hold their last goal and limit."""
         for port in self._ports:
             port.close()
-        self._ports, self._port_of = [], {}
+        self._ports, self._watched_ports, self._port_of = [], [], {}
         if self._pool is not None:
             self._pool.shutdown()
             self._pool = None
@@ -402,18 +411,21 @@ class ServoBus:
         """
         if not self._ports:
             self._check_open()
+        found: JointReadings | list[int]
         if self._pool is None:
-            accepted = self._ports[0].read(self._budget)
+            found = self._ports[0].read(self._budget)
+            if isinstance(found, JointReadings) and not self._doubled:
+                return found
         else:
-            readings = self._pool.map(lambda port: port.read(self._budget), self._ports)
-            accepted = [i for found in readings for i in found]
+            accepted = self._pool.map(lambda port: port.read(self._budget), self._ports)
+            # A port has readings of all joints only if it is the only one.
+            found = [i for of_port in accepted if isinstance(of_port, list) for i in of_port]
         for port in self._ports:
             if port.guard.is_gone:
                 self._report_lost_ports()
-        position, times, velocity, load, current, ok = self._codec.joints(accepted)
         for joint in self._doubled:
             check_agreement(joint)
-        return JointReadings(position, ok, times, velocity, load, current)
+        return found if isinstance(found, JointReadings) else self._codec.joints(found)
 
     def write(self, goal: ArrayLike, limit: ArrayLike, velocity: ArrayLike | None = None) -> None:
         """Send goal and limit of all enabled joints, in one packet per port and kind of servo.
@@ -467,12 +479,11 @@ class ServoBus:
             status = self._poller.step(self._port_of)
         except BusError:
             status = None
-        for port in self._ports:
-            if port.has_watchdog:
-                try:
-                    port.clear_watchdogs(port.devices)
-                except BusError:
-                    continue
+        for port in self._watched_ports:
+            try:
+                port.clear_watchdogs(port.devices)
+            except BusError:
+                continue
         for port in self._ports:
             if port.guard.is_gone:
                 self._report_lost_ports()
@@ -553,8 +564,9 @@ class ServoBus:
     def _reset(self) -> None:
         """Create new devices, counters and status poller; discard all state read from servos."""
         #: Servos of each joint, the primary servo first.
+        changes = Changes()
         self._joints = [
-            [Device(spec, i, number, sign) for number, sign in spec.servos]
+            [Device(spec, i, number, sign, changes) for number, sign in spec.servos]
             for i, spec in enumerate(self.specs)
         ]
         self._devices = [device for joint in self._joints for device in joint]
@@ -582,6 +594,8 @@ class ServoBus:
             clock=time.perf_counter if self.clock is None else self.clock.now,
         )
         self._ports.append(port)
+        if port.has_watchdog:
+            self._watched_ports.append(port)
         self._counters.append(port.guard.counters)
         self._port_of.update({id(device): port for device in devices})
         return port

@@ -8,22 +8,19 @@ from __future__ import annotations
 
 import os
 import sys
-import threading
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 from pliant._core import ServoError
 
 if sys.platform != "win32":
-    from pliant._core import exchange
+    from pliant._core import SerialPort
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import ArrayLike
 
-    from pliant._core import ServoCodec
-    from pliant.servo.models.base import Block
     from pliant.servo.models.base import Protocol as Wire
 
     #: Bytes and status byte of each servo.
@@ -59,30 +56,13 @@ class BusError(ServoError):
             raise self
 
 
-class Decoder(NamedTuple):
-    """Destination of readings: a transport stores the replies of servos here.
-
-    Attributes:
-        codec: Codec of the servos.
-        servos: Indices of the servos in the codec.
-        longest: Age of the last reading above which a reading is not stored [s].
-        plain: Block without status registers: its bytes need no look if the readings need none.
-    """
-
-    codec: ServoCodec
-    servos: Sequence[int]
-    longest: float
-    plain: Block | None
-
-
 class Transport(Protocol):
     """Interface of one serial port with servos; every method may raise `BusError`.
 
     Data are bytes of the control table from `address` on. A status is the error byte of a reply.
 
-    Optional: methods `sync_decode` and `sync_encode`, which make a `sync_read` with decoding and
-    `sync_write` with encoding in one call of the core, see `RustypotTransport`; and the attribute
-    `has_codec`, True if they can be used.
+    Optional: the attribute `serial`, the port for requests with conversion in one call of the core,
+    see `RustypotTransport`.
     """
 
     def read(self, id: int, address: int, size: int) -> tuple[bytes, int]:
@@ -115,8 +95,6 @@ class Transport(Protocol):
 
 #: Protocol 1.0: instructions, and number of bytes of a reply without data.
 READ, SYNC_READ, SYNC_WRITE, OVERHEAD = 0x02, 0x82, 0x83, 6
-#: File descriptor after `close`: the system rejects it.
-CLOSED = -1
 
 
 class RustypotTransport:
@@ -130,6 +108,10 @@ class RustypotTransport:
         baudrate: Baud rate [bit/s].
         protocol: `p1` (Dynamixel 1.0 and Feetech) or `p2` (Dynamixel 2.0).
         timeout: Reply timeout [s].
+
+    Attributes:
+        serial: The port for packets of Protocol 1.0, which the core makes; None for Protocol 2.0,
+            on Windows, and if the file descriptor is not known.
 
     Raises:
         ImportError: The extra `servo` is missing.
@@ -154,13 +136,11 @@ class RustypotTransport:
             raise ServoError(_cannot_open(port, str(error))) from error
         # Packets of Protocol 1.0 use the file descriptor of the port if it is known.
         opened = _descriptors(port) - before if protocol == "p1" else set()
-        self._descriptor: Any = opened.pop() if len(opened) == 1 else None
-        # Locked, because the number of a closed descriptor may be reused while a thread uses it.
-        self._lock = threading.Lock()
+        self.serial = SerialPort(opened.pop()) if len(opened) == 1 else None
 
     def read(self, id: int, address: int, size: int) -> tuple[bytes, int]:
         """Read `size` bytes of one servo from `address` on; return them and the status byte."""
-        if self._descriptor is not None:
+        if self.serial is not None:
             return self._exchange(READ, (id,), (address, size))[0]
         try:
             values, status = self._io.read_raw_data_with_error(id, address, size)
@@ -180,7 +160,7 @@ class RustypotTransport:
 
         If one reply is missing, the whole request fails.
         """
-        if self._descriptor is not None:
+        if self.serial is not None:
             return self._exchange(SYNC_READ, ids, (address, size))
         try:
             answers = self._io.sync_read_raw_data_with_error(list(ids), address, size)
@@ -190,62 +170,13 @@ class RustypotTransport:
 
     def sync_write(self, ids: Sequence[int], address: int, data: Sequence[bytes]) -> None:
         """Write `data[i]` to servo `ids[i]` from `address` on, in one packet without reply."""
-        if self._descriptor is not None:
+        if self.serial is not None:
             self._exchange(SYNC_WRITE, ids, (address, len(data[0])), list(data))
             return
         try:
             self._io.sync_write_raw_data(list(ids), address, [list(item) for item in data])
         except RuntimeError as error:
             raise self._failed(error, None) from error
-
-    @property
-    def has_codec(self) -> bool:
-        """True if `sync_decode` and `sync_encode` can be used: for Protocol 1.0, not on Windows."""
-        return self._descriptor is not None
-
-    def sync_decode(
-        self, ids: Sequence[int], block: Block, decoder: Decoder, time: float
-    ) -> tuple[Answers, list[tuple[int, bool | None]]] | None:
-        """Read one block of each servo as `sync_read` does, and store the readings of `time` [s].
-
-        Returns:
-            The answers, and the readings that need attention, see `ServoCodec.decode`; None if
-            there are none, and the block is `decoder.plain`. Nothing is stored if an answer has not
-            the size of the block.
-        """
-        codec, servos, longest, plain = decoder
-        is_plain = block == plain
-        try:
-            with self._lock:
-                found = codec.read(
-                    self._descriptor, servos, ids, block, self._timeout, time, longest, is_plain
-                )
-        except OSError as error:
-            raise self._lost(error) from error
-        if found is None:
-            return None
-        answers, notable = found
-        if isinstance(answers, bytes):
-            answers = self._broken(answers, ids, block[1])
-        return answers, notable
-
-    def sync_encode(
-        self,
-        ids: Sequence[int],
-        blocks: Sequence[Block],
-        codec: ServoCodec,
-        servos: Sequence[int],
-        command: Command,
-    ) -> None:
-        """Encode a command, and write it to the servos with one packet per block, without reply.
-
-        `servos` are their indices in the codec, which records what was sent.
-        """
-        try:
-            with self._lock:
-                codec.write(self._descriptor, servos, ids, blocks, *command, self._timeout)
-        except OSError as error:
-            raise self._lost(error) from error
 
     def ping(self, id: int) -> bool:
         """Return True if servo `id` answers a ping within the reply timeout."""
@@ -268,10 +199,9 @@ class RustypotTransport:
 
     def close(self) -> None:
         """Close the serial port."""
-        with self._lock:
-            if self._descriptor is not None:
-                self._descriptor = CLOSED
-            self._io.close()
+        if self.serial is not None:
+            self.serial.close()
+        self._io.close()
 
     def _exchange(
         self,
@@ -287,20 +217,21 @@ class RustypotTransport:
         Raises:
             BusError: A reply is missing or corrupt, or the port is gone, or takes no bytes.
         """
+        assert self.serial is not None, "the caller has checked it"
         try:
-            with self._lock:
-                found = exchange(self._descriptor, instruction, ids, block, data, self._timeout)
+            found = self.serial.exchange(instruction, ids, block, data, self._timeout)
         except OSError as error:
-            raise self._lost(error) from error
-        return self._broken(found, ids, block[1]) if isinstance(found, bytes) else found
+            raise self.lost(error) from error
+        return self.broken(found, ids, block[1]) if isinstance(found, bytes) else found
 
-    def _lost(self, error: OSError) -> BusError:
-        """Return the `BusError` for an error of the core."""
+    def lost(self, error: OSError) -> BusError:
+        """Return the `BusError` for an error of `serial`."""
         if isinstance(error, TimeoutError):
             return BusError(f"{self.port}: the request cannot be sent", "timeout")
-        return self._gone("closed by another thread" if self._descriptor == CLOSED else str(error))
+        is_closed = self.serial is not None and self.serial.closed
+        return self._gone("closed by another thread" if is_closed else str(error))
 
-    def _broken(self, found: bytes, ids: Sequence[int], size: int) -> Answers:
+    def broken(self, found: bytes, ids: Sequence[int], size: int) -> Answers:
         """Return the replies among bytes that are not one valid reply of this size from each servo.
 
         The first reply with another number of data bytes is the last that is returned.

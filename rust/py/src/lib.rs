@@ -20,6 +20,7 @@ mod groups;
 mod hand_guiding;
 mod in_use;
 mod joint_follower;
+mod joint_readings;
 mod kinds;
 mod kinematics;
 mod lowering;
@@ -34,9 +35,12 @@ mod report;
 #[cfg(unix)]
 mod serial;
 mod servo_codec;
+#[cfg(unix)]
+mod servo_group;
 mod servos;
 mod settings;
 mod solution;
+mod state;
 mod step_batch;
 mod task;
 mod thermal;
@@ -76,6 +80,8 @@ mod _core {
     #[pymodule_export]
     use crate::joint_follower::JointFollower;
     #[pymodule_export]
+    use crate::joint_readings::JointReadings;
+    #[pymodule_export]
     use crate::lowering::{Lowering, torque_margin};
     #[pymodule_export]
     use crate::model::Model;
@@ -89,15 +95,20 @@ mod _core {
     use crate::report::{AxisReport, FeasibilityReport, Issue, JointStop, PoseReport, check_path};
     #[cfg(unix)]
     #[pymodule_export]
-    use crate::serial::exchange;
+    use crate::serial::SerialPort;
     #[pymodule_export]
     use crate::servo_codec::ServoCodec;
+    #[cfg(unix)]
+    #[pymodule_export]
+    use crate::servo_group::ServoGroup;
     #[pymodule_export]
     use crate::servos::Servos;
     #[pymodule_export]
     use crate::settings::Settings;
     #[pymodule_export]
     use crate::solution::IkResult;
+    #[pymodule_export]
+    use crate::state::State;
     #[pymodule_export]
     use crate::step_batch::BatchState;
     #[pymodule_export]

@@ -367,6 +367,32 @@ pub(crate) fn new_array<'py>(py: Python<'py>, shape: &[usize], values: &[f64]) -
     array.into_any()
 }
 
+/// Three vectors in rotation, which are overwritten as soon as nothing else refers to them.
+///
+/// So a loop that keeps no result allocates nothing, and a vector that the caller keeps never changes, see
+/// [`overwrite`].
+#[derive(Debug, Default)]
+pub(crate) struct Vectors {
+    slots: [Option<Py<PyAny>>; 3],
+    next: usize,
+}
+
+impl Vectors {
+    /// Returns an array (n,) with these numbers.
+    pub(crate) fn take<'py>(&mut self, py: Python<'py>, values: &[f64]) -> Bound<'py, PyAny> {
+        let slot = &mut self.slots[self.next];
+        self.next = (self.next + 1) % 3;
+        if let Some(array) = slot
+            && overwrite(array.bind(py), values)
+        {
+            return array.bind(py).clone();
+        }
+        let array = new_array(py, &[values.len()], values);
+        *slot = Some(array.clone().unbind());
+        array
+    }
+}
+
 /// Creates an array (R, `width`) of the first `width` numbers of each row.
 #[inline(never)]
 pub(crate) fn new_rows<'py, const R: usize, const C: usize>(

@@ -6,6 +6,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyFloat;
 
 use crate::error::{OrRaise, shape};
+use crate::joint_readings::{JointReadings, Values};
 use crate::ndarray::new_array;
 use crate::read::compact::array_into;
 use crate::read::vector;
@@ -21,8 +22,24 @@ pub(crate) struct PositionFilter {
 }
 
 impl PositionFilter {
+    /// Stores the plausible positions of a reading; returns the mask of their joints.
+    pub(crate) fn store_readings(&mut self, py: Python<'_>, readings: &JointReadings) -> PyResult<&[bool]> {
+        match &readings.values {
+            Values::Servos(rows, ok) => {
+                if rows.len() != self.ok.len() {
+                    return Err(shape("position", &[rows.len()], crate::error::tuple(&[self.ok.len()])));
+                }
+                for (i, row) in rows.iter().enumerate() {
+                    (self.position[i], self.time[i]) = (row[0], row[1]);
+                }
+                Ok(self.core.update(&self.position, ok, &self.time))
+            }
+            Values::Arrays(arrays) => self.store(arrays.position.bind(py), arrays.ok.bind(py), arrays.time.bind(py)),
+        }
+    }
+
     /// Stores the plausible positions among `position` (N,); returns the mask of their joints.
-    pub(crate) fn store(
+    fn store(
         &mut self,
         position: &Bound<'_, PyAny>,
         ok: &Bound<'_, PyAny>,

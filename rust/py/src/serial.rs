@@ -3,6 +3,7 @@
 
 use std::num::TryFromIntError;
 use std::os::fd::BorrowedFd;
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use pyo3::exceptions::{PyOSError, PyValueError};
@@ -55,54 +56,95 @@ impl Replies {
     }
 }
 
-#[doc = stub!(exchange)]
-#[pyfunction]
-#[expect(clippy::needless_pass_by_value, reason = "PyO3 passes extracted arguments by value")]
-pub(crate) fn exchange<'py>(
-    py: Python<'py>,
+#[doc = stub!(SerialPort)]
+#[pyclass(module = "pliant._core", frozen)]
+#[derive(Debug)]
+pub(crate) struct SerialPort {
+    /// Locked, because the number of a closed descriptor may be reused while a thread uses it.
+    open: Mutex<Option<Open>>,
+}
+
+/// State of a port before `close`.
+#[derive(Debug, Clone, Copy)]
+struct Open {
     descriptor: i32,
-    instruction: u8,
-    ids: Vec<usize>,
-    block: [usize; 2],
-    data: Option<Vec<Bound<'py, PyBytes>>>,
-    timeout: f64,
-) -> PyResult<Bound<'py, PyAny>> {
-    let Some(rows) = data else {
-        return read_registers(py, descriptor, instruction, &ids, block, timeout)?.to_python(py);
-    };
-    if rows.iter().any(|row| row.as_bytes().len() != block[1]) {
-        return Err(wrong_size());
+    /// True if all servos have answered the last request: the port has sent all bytes, and takes a packet at once.
+    is_idle: bool,
+}
+
+#[pymethods]
+impl SerialPort {
+    #[new]
+    fn new(descriptor: i32) -> Self {
+        Self { open: Mutex::new(Some(Open { descriptor, is_idle: false })) }
     }
-    let data: Vec<u8> = rows.iter().flat_map(PyBytesMethods::as_bytes).copied().collect();
-    write_registers(py, descriptor, &ids, block, &data, timeout)?;
-    Ok(PyList::empty(py).into_any())
+
+    #[doc = stub!(SerialPort.exchange)]
+    #[expect(clippy::needless_pass_by_value, reason = "PyO3 passes extracted arguments by value")]
+    fn exchange<'py>(
+        &self,
+        py: Python<'py>,
+        instruction: u8,
+        ids: Vec<u8>,
+        block: [usize; 2],
+        data: Option<Vec<Bound<'py, PyBytes>>>,
+        timeout: f64,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let Some(rows) = data else {
+            return read_registers(py, self, instruction, &ids, block, timeout)?.to_python(py);
+        };
+        if rows.iter().any(|row| row.as_bytes().len() != block[1]) {
+            return Err(wrong_size());
+        }
+        let data: Vec<u8> = rows.iter().flat_map(PyBytesMethods::as_bytes).copied().collect();
+        write_registers(py, self, &ids, block, &data, timeout)?;
+        Ok(PyList::empty(py).into_any())
+    }
+
+    #[doc = stub!(SerialPort.close)]
+    fn close(&self, py: Python<'_>) {
+        py.detach(|| *self.lock() = None);
+    }
+
+    #[doc = stub!(SerialPort.closed)]
+    #[getter]
+    fn closed(&self, py: Python<'_>) -> bool {
+        py.detach(|| self.lock().is_none())
+    }
+}
+
+impl SerialPort {
+    /// Locks the port. The interpreter lock must be released, because a thread that holds this lock may wait for it.
+    fn lock(&self) -> MutexGuard<'_, Option<Open>> {
+        self.open.lock().unwrap_or_else(PoisonError::into_inner)
+    }
 }
 
 /// Requests the registers `block` (address, size) of the servos `ids`, and returns the replies. Releases the
 /// interpreter lock.
 pub(crate) fn read_registers(
     py: Python<'_>,
-    descriptor: i32,
+    port: &SerialPort,
     instruction: u8,
-    ids: &[usize],
+    ids: &[u8],
     block: [usize; 2],
     timeout: f64,
 ) -> PyResult<Replies> {
-    let (ids, block) = (bytes(ids)?, bytes(&block)?);
+    let block = bytes(block)?;
     let id = if instruction == READ { ids.first().copied().unwrap_or(BROADCAST) } else { BROADCAST };
     let mut request = vec![0xff, 0xff, id, 0, instruction, block[0], block[1]];
     if instruction == SYNC_READ {
-        request.extend_from_slice(&ids);
+        request.extend_from_slice(ids);
     }
-    send_request(py, descriptor, request, &ids, block[1], timeout)
+    send_request(py, port, request, ids, block[1], timeout)
 }
 
 /// Writes the registers `block` (address, size) of the servos `ids` with one packet, which has no reply. `data` has the
 /// bytes of one servo after the other. Releases the interpreter lock.
 pub(crate) fn write_registers(
     py: Python<'_>,
-    descriptor: i32,
-    ids: &[usize],
+    port: &SerialPort,
+    ids: &[u8],
     block: [usize; 2],
     data: &[u8],
     timeout: f64,
@@ -110,22 +152,22 @@ pub(crate) fn write_registers(
     if data.len() != ids.len() * block[1] {
         return Err(wrong_size());
     }
-    let (ids, header) = (bytes(ids)?, bytes(&block)?);
+    let header = bytes(block)?;
     let mut request = vec![0xff, 0xff, BROADCAST, 0, SYNC_WRITE, header[0], header[1]];
     for (id, row) in ids.iter().zip(data.chunks(block[1].max(1))) {
         request.push(*id);
         request.extend_from_slice(row);
     }
-    send_request(py, descriptor, request, &[], header[1], timeout).map(|_| ())
+    send_request(py, port, request, &[], header[1], timeout).map(|_| ())
 }
 
 fn wrong_size() -> PyErr {
     PyValueError::new_err("data has one row of the size of the block for each id")
 }
 
-/// Returns the numbers as bytes.
-fn bytes(numbers: &[usize]) -> PyResult<Vec<u8>> {
-    numbers.iter().map(|number| u8::try_from(*number)).collect::<Result<_, _>>().map_err(too_large)
+/// Returns address and size of a block as bytes.
+fn bytes([address, size]: [usize; 2]) -> PyResult<[u8; 2]> {
+    Ok([u8::try_from(address).map_err(too_large)?, u8::try_from(size).map_err(too_large)?])
 }
 
 fn too_large(_: TryFromIntError) -> PyErr {
@@ -136,7 +178,7 @@ fn too_large(_: TryFromIntError) -> PyErr {
 /// of the servos `ids` with `size` data bytes each.
 fn send_request(
     py: Python<'_>,
-    descriptor: i32,
+    port: &SerialPort,
     mut request: Vec<u8>,
     ids: &[u8],
     size: u8,
@@ -148,15 +190,18 @@ fn send_request(
     let packet_len = OVERHEAD + usize::from(size);
     let mut bytes = vec![0; ids.len() * packet_len];
     let result = py.detach(|| {
-        if descriptor < 0 {
-            return Err(Errno::BADF);
-        }
+        let mut open = port.lock();
+        let open = open.as_mut().filter(|open| open.descriptor >= 0).ok_or(Errno::BADF)?;
+        let is_idle = std::mem::take(&mut open.is_idle);
         // SAFETY: the descriptor is not -1, and is used during this call only. A descriptor that Python closes
         // meanwhile makes the calls fail, or reach another file of the program, but breaks no memory.
-        let port = unsafe { BorrowedFd::borrow_raw(descriptor) };
-        write_and_read(port, &request, ids, &mut bytes, timeout)
+        let port = unsafe { BorrowedFd::borrow_raw(open.descriptor) };
+        let (received, is_wrong) = write_and_read(port, &request, ids, &mut bytes, timeout, is_idle)?;
+        open.is_idle = !ids.is_empty() && received == bytes.len() && !is_wrong;
+        Ok((received, is_wrong))
     });
-    let (received, is_wrong) = result.map_err(|errno| PyOSError::new_err((errno.raw_os_error(), "serial port")))?;
+    let (received, is_wrong) =
+        result.map_err(|errno: Errno| PyOSError::new_err((errno.raw_os_error(), "serial port")))?;
     let is_complete = received == bytes.len() && !is_wrong;
     bytes.truncate(received);
     Ok(Replies { bytes, packet_len, is_complete })
@@ -164,22 +209,26 @@ fn send_request(
 
 /// Writes the request and reads the replies into `reply`, whose length is that of the expected packets. If replies are
 /// expected, bytes that were received before are discarded. Returns the number of bytes read, and true if they are not a
-/// valid packet of the expected size from each of the servos `ids`; reading ends when this shows.
+/// valid packet of the expected size from each of the servos `ids`; reading ends when this shows. An idle port is not
+/// waited for before a packet without a reply.
 fn write_and_read(
     port: BorrowedFd<'_>,
     request: &[u8],
     ids: &[u8],
     reply: &mut [u8],
     timeout: Duration,
+    is_idle: bool,
 ) -> Result<(usize, bool), Errno> {
     let mut old = [0; CHUNK];
     let mut discards = if reply.is_empty() { MAX_DISCARDS } else { 0 };
     let end = Instant::now() + timeout;
     let mut rest = request;
+    let mut takes_packet = is_idle && reply.is_empty();
     while !rest.is_empty() {
         let may_discard = discards < MAX_DISCARDS && rest.len() == request.len();
         let flags = if may_discard { PollFlags::IN | PollFlags::OUT } else { PollFlags::OUT };
-        let ready = wait(port, flags, end)?;
+        let ready = if takes_packet { flags } else { wait(port, flags, end)? };
+        takes_packet = false;
         if ready.is_empty() {
             return Err(Errno::TIMEDOUT);
         }

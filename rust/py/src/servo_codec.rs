@@ -1,36 +1,39 @@
 //! Python class `ServoCodec`: registers of the servos on a bus as joint values, and commands as registers.
 
-use numpy::PyArray1;
 use pliant_core::arm::{Decoded, MAX_PACKET, Register, ServoCodec as CoreCodec, ServoUnits};
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyList, PyTuple};
 
 use crate::error::{OrRaise, shape, tuple};
+use crate::joint_readings::JointReadings;
 use crate::ndarray::new_array;
 use crate::read::compact::array_into;
 use crate::read::vector;
-#[cfg(unix)]
-use crate::serial;
 
 /// Length of the list of numbers that describes registers, packets and units of a servo.
-const NUMBERS: usize = 9 * 3 + 2 * 2 + 20;
+const NUMBERS: usize = 10 * 3 + 2 * 2 + 20;
 
 #[doc = stub!(ServoCodec)]
 #[pyclass(module = "pliant._core")]
 #[derive(Debug)]
 pub(crate) struct ServoCodec {
-    core: CoreCodec,
-    joints: Vec<f64>,
-    packets: [[u8; MAX_PACKET]; 2],
+    pub(crate) core: CoreCodec,
+    pub(crate) packets: [[u8; MAX_PACKET]; 2],
     command: [Vec<f64>; 3],
 }
 
 impl ServoCodec {
+    /// Returns the readings of all joints, those whose servos are all among `read` as new.
+    pub(crate) fn joints(&mut self, read: &[usize]) -> JointReadings {
+        let (joints, ok) = self.core.joints(read);
+        JointReadings::of_servos(joints, ok)
+    }
+
     /// Stores a reading of a servo that was requested at `time`. A reading that comes more than `longest` [s] after the
     /// one before is not stored, because the servo may have restarted meanwhile. Returns the value that
     /// [`Self::decode`] reports for the servo; the outer `None`: it reports nothing.
     #[expect(clippy::option_option, reason = "a report, of which `None` is one of three values in Python")]
-    fn store(
+    pub(crate) fn store(
         &mut self,
         servo: usize,
         data: &[u8],
@@ -48,7 +51,7 @@ impl ServoCodec {
     }
 
     /// Reads and checks goals, torque limits and largest speeds (n,) of all joints.
-    fn set_command(
+    pub(crate) fn set_command(
         &mut self,
         goal: &Bound<'_, PyAny>,
         limit: &Bound<'_, PyAny>,
@@ -66,7 +69,7 @@ impl ServoCodec {
 
     /// Returns goal, limit and speed cap registers of a servo for the command of `set_command`, and the sizes of its
     /// packets in `packets`.
-    fn encode_command(&mut self, servo: usize, max_speed: f64) -> PyResult<([i64; 3], [usize; 2])> {
+    pub(crate) fn encode_command(&mut self, servo: usize, max_speed: f64) -> PyResult<([i64; 3], [usize; 2])> {
         let joint = self.core.joint(servo).or_raise()?;
         let command = [0, 1, 2].map(|i: usize| self.command[i][joint]);
         self.core.encode(servo, command, max_speed, &mut self.packets).or_raise()
@@ -79,7 +82,6 @@ impl ServoCodec {
     fn new(servos: usize, joints: usize) -> Self {
         Self {
             core: CoreCodec::new(servos, joints),
-            joints: vec![0.0; 5 * joints],
             packets: [[0; MAX_PACKET]; 2],
             command: [(); 3].map(|()| vec![0.0; joints]),
         }
@@ -94,12 +96,12 @@ impl ServoCodec {
         };
         // Addresses, sizes and signs; other numbers are truncated to integers.
         let whole = |i: usize| numbers[i] as i64;
-        let mut registers = [Register::default(); 9];
+        let mut registers = [Register::default(); 10];
         for (i, place) in registers.iter_mut().enumerate() {
             *place =
                 Register { address: whole(3 * i) as usize, size: whole(3 * i + 1) as usize, sign: whole(3 * i + 2) };
         }
-        let packet = |i: usize| [whole(27 + 2 * i) as usize, whole(28 + 2 * i) as usize];
+        let packet = |i: usize| [whole(30 + 2 * i) as usize, whole(31 + 2 * i) as usize];
         let &[
             ..,
             zero,
@@ -166,53 +168,11 @@ impl ServoCodec {
         Ok(notable)
     }
 
-    #[cfg(unix)]
-    #[doc = stub!(ServoCodec.read)]
-    #[expect(clippy::too_many_arguments, reason = "a request, and what becomes of its replies")]
-    #[expect(clippy::needless_pass_by_value, reason = "PyO3 passes extracted arguments by value")]
-    fn read<'py>(
-        slf: &Bound<'py, Self>,
-        descriptor: i32,
-        servos: Vec<usize>,
-        ids: Vec<usize>,
-        block: [usize; 2],
-        timeout: f64,
-        time: f64,
-        longest: f64,
-        usual: bool,
-    ) -> PyResult<Option<(Bound<'py, PyAny>, Bound<'py, PyList>)>> {
-        let py = slf.py();
-        let replies = serial::read_registers(py, descriptor, serial::SYNC_READ, &ids, block, timeout)?;
-        let notable = PyList::empty(py);
-        if replies.is_complete {
-            // Borrow the codec only now: while the interpreter lock was released, another port may have used it.
-            let mut codec = slf.try_borrow_mut()?;
-            for (i, (servo, (data, status))) in servos.into_iter().zip(replies.packets()).enumerate() {
-                if let Some(found) = codec.store(servo, data, status, block[0], [time, longest])? {
-                    notable.append((i, found))?;
-                }
-            }
-            if usual && notable.is_empty() {
-                return Ok(None);
-            }
-        }
-        Ok(Some((replies.to_python(py)?, notable)))
-    }
-
     #[doc = stub!(ServoCodec.joints)]
+    #[pyo3(name = "joints")]
     #[expect(clippy::needless_pass_by_value, reason = "PyO3 passes extracted arguments by value")]
-    fn joints<'py>(&mut self, py: Python<'py>, read: Vec<usize>) -> PyResult<Bound<'py, PyTuple>> {
-        let (joints, ok) = self.core.joints(&read);
-        let n = joints.len();
-        for (i, values) in joints.iter().enumerate() {
-            for (k, value) in values.iter().enumerate() {
-                self.joints[k * n + i] = *value;
-            }
-        }
-        let columns = self.joints.chunks(n.max(1)).map(|column| new_array(py, &[n], column));
-        let mut found: Vec<_> = columns.collect();
-        found.push(PyArray1::from_slice(py, ok).into_any());
-        PyTuple::new(py, found)
+    fn joints_of(&mut self, read: Vec<usize>) -> JointReadings {
+        self.joints(&read)
     }
 
     #[doc = stub!(ServoCodec.encode)]
@@ -242,43 +202,9 @@ impl ServoCodec {
         PyTuple::new(py, [goals, limits, speeds, first, second])
     }
 
-    #[cfg(unix)]
-    #[doc = stub!(ServoCodec.write)]
-    #[expect(clippy::too_many_arguments, reason = "a command, and where it is sent")]
-    #[expect(clippy::needless_pass_by_value, reason = "PyO3 passes extracted arguments by value")]
-    fn write(
-        slf: &Bound<'_, Self>,
-        descriptor: i32,
-        servos: Vec<usize>,
-        ids: Vec<usize>,
-        blocks: Vec<[usize; 2]>,
-        goal: &Bound<'_, PyAny>,
-        limit: &Bound<'_, PyAny>,
-        velocity: Option<&Bound<'_, PyAny>>,
-        max_speed: f64,
-        timeout: f64,
-    ) -> PyResult<()> {
-        let mut codec = slf.try_borrow_mut()?;
-        codec.set_command(goal, limit, velocity)?;
-        let mut data = [(); 2].map(|()| Vec::with_capacity(servos.len() * MAX_PACKET));
-        let mut sent = Vec::with_capacity(servos.len());
-        for servo in &servos {
-            let ([goal, limit, _], sizes) = codec.encode_command(*servo, max_speed)?;
-            sent.push((*servo, goal, limit, codec.packets[0], sizes[0]));
-            for ((bytes, packet), size) in data.iter_mut().zip(&codec.packets).zip(sizes) {
-                bytes.extend_from_slice(packet.get(..size).unwrap_or_default());
-            }
-        }
-        // While the interpreter lock is released, another port may use the codec.
-        drop(codec);
-        for (block, bytes) in blocks.iter().zip(&data) {
-            serial::write_registers(slf.py(), descriptor, &ids, *block, bytes, timeout)?;
-        }
-        let mut codec = slf.try_borrow_mut()?;
-        for (servo, goal, limit, packet, size) in sent {
-            codec.core.record_sent(servo, Some(goal), limit, &packet[..size]).or_raise()?;
-        }
-        Ok(())
+    #[doc = stub!(ServoCodec.has_command)]
+    fn has_command(&self, servo: usize, data: &[u8], address: usize) -> PyResult<bool> {
+        self.core.has_command(servo, data, address).or_raise()
     }
 
     #[doc = stub!(ServoCodec.record_sent)]

@@ -273,8 +273,7 @@ class Session:
         try:
             yield from loop
         finally:
-            self.lateness.counts += loop.lateness.counts
-            self.lateness.largest = max(self.lateness.largest, loop.lateness.largest)
+            self.lateness.add_all(loop.lateness)
             self.missed += loop.missed
             self.missing += loop.missing
 

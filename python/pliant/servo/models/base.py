@@ -260,7 +260,7 @@ class Family:
     def codec_registers(self) -> tuple[int, ...]:
         """Registers and write packets as `pliant._core.ServoCodec.configure` takes them."""
         rows: list[int] = []
-        for name in (*READING_REGISTERS, *COMMAND_REGISTERS):
+        for name in (*READING_REGISTERS, *COMMAND_REGISTERS, "torque_enable"):
             register = self.registers.get(name)
             if register is None:
                 rows += (0, 0, 0)

@@ -55,8 +55,8 @@ impl Register {
 /// Registers, units and bounds of a servo.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct ServoUnits {
-    /// Position, speed, load, current, voltage and temperature; goal, torque limit and speed cap.
-    pub registers: [Register; 9],
+    /// Position, speed, load, current, voltage and temperature; goal, torque limit and speed cap; torque enable.
+    pub registers: [Register; 10],
     /// Address and size of the block of each packet that writes goal, limit and speed cap; size 0: no such packet.
     pub packets: [[usize; 2]; 2],
     /// Position at joint angle 0 [counts].
@@ -356,6 +356,25 @@ impl ServoCodec {
         Ok(if is_notable { Decoded::Notable } else { Decoded::Usual })
     }
 
+    /// Returns true unless a block of bytes from `address` on contains the register torque enable, and shows that torque
+    /// is off, or that the first packet of the last command is unknown or is not in the registers.
+    ///
+    /// # Errors
+    /// [`Error::OutOfRange`] if there is no such servo.
+    pub fn has_command(&self, servo: usize, data: &[u8], address: usize) -> Result<bool> {
+        let servo = self.servo(servo)?;
+        let Some(torque_enable) = servo.units.registers[9].decode(data, address) else { return Ok(true) };
+        let packet = servo.sent.packet();
+        let written =
+            servo.units.packets[0][0].checked_sub(address).and_then(|start| data.get(start..start + packet.len()));
+        Ok(torque_enable == 1 && !packet.is_empty() && written == Some(packet))
+    }
+
+    /// Returns the number of servos.
+    pub fn size(&self) -> usize {
+        self.servos.len()
+    }
+
     /// Returns the readings of all joints (n): angle [rad], NaN before the first; time [s]; velocity [rad/s]; torque [N·m];
     /// current [A], NaN without such a register; and true for joints whose servos all are among `read`.
     ///
@@ -422,7 +441,7 @@ impl ServoCodec {
         let blocks = &servo.units.packets;
         for (bytes, &[address, size]) in packets.iter_mut().zip(blocks) {
             *bytes = [0; MAX_PACKET];
-            for (register, value) in servo.units.registers[6..].iter().zip(values) {
+            for (register, value) in servo.units.registers[6..9].iter().zip(values) {
                 register.encode(value, &mut bytes[..size.min(MAX_PACKET)], address);
             }
         }
