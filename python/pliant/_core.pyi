@@ -2960,7 +2960,9 @@ class State:
     @property
     def temperature(self) -> _Array | None: ...
     @property
-    def faults(self) -> tuple[str, ...]: ...
+    def faults(self) -> tuple[str, ...]:
+        """Present faults, one sentence each; empty if healthy."""
+
     def replace(self, **changes: Any) -> State:
         """Return a state with these attributes changed."""
 
@@ -3000,7 +3002,11 @@ class JointReadings:
     @property
     def load(self) -> _Array | None: ...
     @property
-    def current(self) -> _Array | None: ...
+    def current(self) -> _Array | None:
+        """Motor currents (N,) [A]; None: not reported."""
+
+    def replace(self, **changes: Any) -> JointReadings:
+        """Return a reading with these attributes changed."""
 
 #: Ratio of the torque limit to the gravity torque of an arm that is held without a controller.
 SUPPORT: Final[float]

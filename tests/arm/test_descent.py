@@ -1,6 +1,5 @@
 """Torque on and descent of arms whose servos, load, gears and encoders differ from the model."""
 
-import dataclasses
 import random
 
 import numpy as np
@@ -128,7 +127,7 @@ def test_the_estimate_after_a_silence_is_that_of_an_arm_that_was_held(
         sample = read(drive)
         passed = drive.clock.now() - started[0] if started else 0.0
         if when <= passed < when + 0.2:
-            return dataclasses.replace(sample, ok=np.zeros_like(sample.ok))
+            return sample.replace(ok=np.zeros_like(sample.ok))
         if passed >= when + 0.2 and not errors:
             speed = transfers[0]._observer.predict(drive.clock.now())[1]
             errors.append(float(np.abs(speed - drive.plant.dq[: speed.size]).max()))

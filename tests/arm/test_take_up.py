@@ -1,6 +1,5 @@
 """Torque on while the positions of some joints do not arrive."""
 
-import dataclasses
 from types import SimpleNamespace
 
 import numpy as np
@@ -33,7 +32,7 @@ class Hidden:
             if began is None or not when <= clock.now() - began < until:
                 return sample
             lost = np.isin(drive.names, drive.names if names is None else names)
-            return dataclasses.replace(sample, ok=sample.ok & ~lost)
+            return sample.replace(ok=sample.ok & ~lost)
 
         def enabled(*orders):
             nonlocal began

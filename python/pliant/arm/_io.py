@@ -287,10 +287,7 @@ class ArmIO:
             sample = self.drive.read()
         except ServoTimeoutError:
             # No joint has answered; each keeps its last values.
-            last, unread = self._sample, np.zeros(len(self.joints.names), dtype=bool)
-            sample = JointReadings(
-                last.position, unread, last.time, last.velocity, last.load, last.current
-            )
+            sample = self._sample.replace(ok=np.zeros(len(self.joints.names), dtype=bool))
         finally:
             self._last_access = now = self.clock.now()
         self._sample = sample

@@ -32,13 +32,15 @@ MADV_WIPEONFORK = 18
 def _not_forked() -> Sequence[int]:
     """Return a sequence whose entry 0 is true only in the process that has imported this module.
 
-    Unlike `os.getpid`, reading it is no system call. It is also right if C code has forked. On a
-    system without such memory it is always 0.
+    Unlike `os.getpid`, reading it is no system call. It is also right if C code has forked. On
+    other systems than Linux it is always 0.
     """
+    if sys.platform != "linux":
+        return (0,)
     try:
         page = mmap.mmap(-1, mmap.PAGESIZE, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
         page.madvise(MADV_WIPEONFORK)
-    except (AttributeError, OSError, ValueError):
+    except OSError:
         return (0,)
     page[0] = 1
     return memoryview(page)

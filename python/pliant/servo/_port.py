@@ -422,8 +422,9 @@ class Port:
             self._read_again(group, error, accepted)
             return None
         if has_status and not isinstance(found, GroupReplies):
+            time = group.last.time
             for device in group.devices:
-                device.note_command(device.time)
+                device.note_command(time)
         if isinstance(found, JointReadings):
             return found
         self._note_found(group, found, accepted, has_decoder=decoder is not None)

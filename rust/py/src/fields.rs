@@ -89,6 +89,28 @@ pub(crate) fn text(value: &Bound<'_, PyAny>) -> PyResult<String> {
     Ok(value.repr()?.to_string())
 }
 
+/// Returns attributes of an object by name, in this order.
+pub(crate) fn attributes<'py>(object: &Bound<'py, PyAny>, names: &[&str]) -> PyResult<Bound<'py, PyTuple>> {
+    let values = names.iter().map(|name| object.getattr(*name)).collect::<PyResult<Vec<_>>>()?;
+    PyTuple::new(object.py(), values)
+}
+
+/// Calls the class of an object with its attributes `names`, of which some are changed.
+pub(crate) fn replaced<'py>(
+    object: &Bound<'py, PyAny>,
+    names: &[&str],
+    changes: Option<&Bound<'py, PyDict>>,
+) -> PyResult<Bound<'py, PyAny>> {
+    let arguments = PyDict::new(object.py());
+    for name in names {
+        arguments.set_item(*name, object.getattr(*name)?)?;
+    }
+    if let Some(changes) = changes {
+        arguments.update(changes.as_mapping())?;
+    }
+    object.get_type().call((), Some(&arguments))
+}
+
 pub(crate) fn differ<T: PartialEq>(a: &T, b: &T) -> bool {
     a != b
 }

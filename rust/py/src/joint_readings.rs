@@ -2,12 +2,16 @@
 
 use numpy::PyArray1;
 use pyo3::prelude::*;
-use pyo3::types::PyTuple;
+use pyo3::types::{PyDict, PyTuple};
 
+use crate::fields::{attributes, replaced};
 use crate::ndarray::new_array;
 
 /// A value for each of the N joints: position [rad], time [s], velocity [rad/s], torque [N·m] and current [A].
 pub(crate) type Row = [f64; 5];
+
+/// Names of the attributes, in the order of the constructor's arguments.
+const NAMES: [&str; 6] = ["position", "ok", "time", "velocity", "load", "current"];
 
 #[doc = stub!(JointReadings)]
 #[pyclass(module = "pliant.drive", frozen)]
@@ -72,10 +76,14 @@ impl JointReadings {
         Self { values: Values::Arrays(Arrays { position, ok, time, velocity, load, current }) }
     }
 
+    #[doc = stub!(JointReadings.replace)]
+    #[pyo3(signature = (**changes))]
+    fn replace<'py>(slf: &Bound<'py, Self>, changes: Option<&Bound<'py, PyDict>>) -> PyResult<Bound<'py, PyAny>> {
+        replaced(slf.as_any(), &NAMES, changes)
+    }
+
     fn __getnewargs__<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyTuple>> {
-        let names = ["position", "ok", "time", "velocity", "load", "current"];
-        let values = names.iter().map(|name| slf.getattr(*name)).collect::<PyResult<Vec<_>>>()?;
-        PyTuple::new(slf.py(), values)
+        attributes(slf.as_any(), &NAMES)
     }
 
     #[doc = stub!(JointReadings.position)]

@@ -3,6 +3,7 @@
 use pyo3::prelude::*;
 use pyo3::types::{PyBool, PyDict, PyFloat, PyTuple};
 
+use crate::fields::{attributes, replaced};
 use crate::ndarray::new_array;
 
 type Object = Py<PyAny>;
@@ -75,19 +76,11 @@ impl State {
     #[doc = stub!(State.replace)]
     #[pyo3(signature = (**changes))]
     fn replace<'py>(slf: &Bound<'py, Self>, changes: Option<&Bound<'py, PyDict>>) -> PyResult<Bound<'py, PyAny>> {
-        let arguments = PyDict::new(slf.py());
-        for name in NAMES {
-            arguments.set_item(name, slf.getattr(name)?)?;
-        }
-        if let Some(changes) = changes {
-            arguments.update(changes.as_mapping())?;
-        }
-        slf.get_type().call((), Some(&arguments))
+        replaced(slf.as_any(), &NAMES, changes)
     }
 
     fn __getnewargs__<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyTuple>> {
-        let values = NAMES.iter().map(|name| slf.getattr(*name)).collect::<PyResult<Vec<_>>>()?;
-        PyTuple::new(slf.py(), values)
+        attributes(slf.as_any(), &NAMES)
     }
 
     fn __repr__(slf: &Bound<'_, Self>) -> PyResult<String> {
