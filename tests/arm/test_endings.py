@@ -319,6 +319,23 @@ def test_an_error_during_the_descent_leaves_torque_on(make, grasp, monkeypatch, 
     assert "was not lowered (ZeroDivisionError: a bug): torque is ON in" in caplog.text
 
 
+@pytest.mark.parametrize("direction", ["lower", "higher"])
+def test_messages_tell_how_far_the_tool_has_moved(make, direction):
+    hanging, raised = np.zeros(7), np.array([-3.0, *np.zeros(6)])
+    poses = [raised, hanging] if direction == "lower" else [hanging, raised]
+    arm = make(q=poses[0])
+    arm.open()
+    arm._io.sample()
+    messages, before = ExitMessages("arm", arm._io, None), arm.drive.plant.tool[2, 3]
+    messages.progress(None)
+    arm.drive.plant.reset(poses[1])
+    arm._io.positions.reset()
+    arm._io.sample()
+    moved = abs(arm.drive.plant.tool[2, 3] - before)
+    assert moved > 1.0
+    assert f"tool {100 * moved:.0f} cm {direction}" in messages.lowered()
+
+
 def test_progress_never_disturbs_a_descent(make, monkeypatch):
     arm = make()
     messages = ExitMessages("arm", arm._io, None)

@@ -8,7 +8,8 @@ import pytest
 from bare_arm import bare_arm
 
 import pliant
-from pliant.arm._startup import stiffness_mismatch
+from pliant.arm._startup import initial_commands, stiffness_mismatch
+from pliant.arm._transfer import RISE, SINK, _WeightTransfer
 
 START = [0.0, -0.3, 0.3, 0.9, 0.0]  # [rad]
 
@@ -68,6 +69,74 @@ def test_a_short_silence_only_delays():
     assert hidden.highest - hidden.start < 0.005  # [m]
     assert hidden.fastest < 0.1  # [m/s]
     hidden.arm.disable_torque()
+
+
+def test_joints_that_have_torque_keep_goals_that_their_limits_can_hold():
+    """The goals of joints 0 to 2 are known, that of joint 3 is not; joint 4 has no torque."""
+    arm = bare_arm("so101")
+    kp, usable = np.asarray(arm.servos.kp), np.asarray(arm.servos.max_torque)
+    weight, on = np.array([0.1, -0.2, 0.3, 3.0, 0.4]), np.array([True, True, True, True, False])
+    q, goals = np.full(5, 0.2), np.array([0.25, 3.0, -3.0, np.nan, 0.5])
+    limits = np.array([0.5, 0.4, 9.0, np.nan, 0.1])
+    io = SimpleNamespace(
+        servos=arm.servos,
+        q=q,
+        gravity=lambda: weight,
+        stored_commands=lambda: (goals, limits),
+    )
+    goal, limit, lead, carried = initial_commands(io, on)
+    assert carried.tolist() == [True, True, True, False, False]
+    # A goal beyond twice the limit over k_p would not push harder.
+    assert goal[:3] == pytest.approx(
+        [0.25, 0.2 + 2 * limits[1] / kp[1], 0.2 - 2 * usable[2] / kp[2]]
+    )
+    assert limit[:3] == pytest.approx([limits[0], limits[1], usable[2]])
+    assert goal[3:] == pytest.approx([0.2 + 0.1, 0.2])
+    assert lead == pytest.approx([0.0, 0.0, 0.0, 0.0, weight[4] / kp[4]])
+
+
+def test_a_stiffness_is_judged_by_leads_that_are_large_enough():
+    arm = bare_arm("so101")
+    kp, friction = arm.servos.kp[1], arm.servos.friction[1]
+    step = np.asarray(arm.servos.encoder_step)[1]
+
+    def is_warned(weight, lead):
+        weights, leads = np.zeros(5), np.zeros(5)
+        weights[1], leads[1] = weight, lead
+        io = SimpleNamespace(servos=arm.servos, model=arm.model, gravity=lambda: weights)
+        return stiffness_mismatch(io, leads) is not None
+
+    # Ratio of stiffness; friction; encoder step; share of the expected lead.
+    for accepted, warned in (
+        ((1.0, 1.0 / kp / 1.45), (1.0, 1.0 / kp / 1.55)),
+        ((1.0, 1.45 / kp), (1.0, 1.55 / kp)),
+        ((2.9 * friction, 9.0 * friction / kp), (3.1 * friction, 9.0 * friction / kp)),
+        ((0.8, 2.9 * step), (0.8, 3.1 * step)),
+        ((1.9, 0.019 * 1.9 / kp), (1.9, 0.021 * 1.9 / kp)),
+    ):
+        assert not is_warned(*accepted), accepted
+        assert is_warned(*warned), warned
+
+
+def test_an_arm_moves_if_its_tool_sinks_or_rises_by_more_than_encoder_steps():
+    arm = bare_arm("so101", q=START)
+    arm.open()
+    arm._io.sample()
+    q = arm._io.q
+    transfer = _WeightTransfer(arm._io, arm._points, q, np.zeros(5, dtype=bool), 100.0)
+    lever = np.asarray(arm.model.jacobian(q))[2]  # height of the tool per joint angle [m/rad]
+    direction = lever / (lever @ lever)
+    for step in (0.0, 0.02):
+        transfer._observer.step = np.full(5, step)
+        margin = 0.5 * step * np.abs(lever).max()
+        for height, moves in (
+            (-SINK - margin - 1e-4, True),
+            (-SINK - margin + 1e-4, False),
+            (RISE + margin - 1e-4, False),
+            (RISE + margin + 1e-4, True),
+        ):
+            transfer._x = height * direction
+            assert transfer._is_moving() is moves
 
 
 @pytest.mark.parametrize("ratios", [(-0.094, 1.0), (-0.094, 0.42), (1.0, 0.42)])

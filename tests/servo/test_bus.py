@@ -8,6 +8,10 @@ from pliant.emulator import Device, Emulator, ManualClock
 from pliant.servo import ServoBus, ServoSpec
 
 KINDS = ["sts", "xm", "xl430", "ex", "rx", "mx"]
+#: Name of the emulator's register of the supply voltage, for each kind.
+VOLTAGE = dict.fromkeys(KINDS, "present_voltage") | dict.fromkeys(
+    ("xm", "xl430"), "present_input_voltage"
+)
 
 
 def settle(bus, servo_bus, goal, limit, seconds=1.0):
@@ -31,6 +35,15 @@ def test_goals_arrive_in_radians(emulated, enabled, kind):
         # Gear friction stops a servo short of its goal by no more than friction / k_p.
         assert sample.position == pytest.approx(goal, abs=0.06)
         assert sample.ok.all()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_supply_and_temperature_are_known_from_open_on(emulated, kind):
+    with emulated(kind, 2, clock="steps") as (bus, servo_bus):
+        status = servo_bus.poll_status()
+        assert status.name == "joint0"
+        assert status.voltage == pytest.approx(bus.servos[0].get(VOLTAGE[kind]) / 10.0)
+        assert status.temperature == bus.servos[0].get("present_temperature")
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -95,6 +95,16 @@ def test_torque_that_could_not_be_switched_off_again_is_reported(kind):
         assert "joint0 did not confirm torque_enable = 0" in str(error.value)
 
 
+@pytest.mark.parametrize("kind", ["sts", "xl430", "mx"])
+def test_a_failure_before_torque_comes_on_names_no_fall(emulated, enabled, kind):
+    with emulated(kind, 2, clock="steps") as (bus, servo_bus):
+        bus.stick(1, "goal_pwm" if kind == "xl430" else "torque_limit", 7)
+        with pytest.raises(ServoError, match=r"did not take the torque limit.*switched on\Z"):
+            enabled(servo_bus)
+        assert not servo_bus.enabled.any()
+        assert {write.data for write in bus.log.writes("torque_enable")} == {b"\0"}
+
+
 @pytest.mark.parametrize("kind", ["sts", "xm"])
 def test_a_failure_while_torque_comes_on_says_that_the_arm_falls(kind, monkeypatch):
     """The line fails once the first servo has torque, until torque is switched off again."""

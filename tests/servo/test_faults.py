@@ -375,6 +375,25 @@ def test_a_watchdog_that_trips_is_cleared_as_soon_as_it_is_seen(emulated, enable
         assert not servo_bus.refusing.any()
 
 
+def test_a_port_that_is_gone_delays_no_watchdog_of_another(enabled):
+    parts = [*devices("xm", 1), *devices("xm", 2, port="b")[1:]]
+    with Emulator(parts, clock="steps") as bus:
+        specs = [
+            ServoSpec(name=port, model="XM430-W350", id=i, port=bus.ports[port])
+            for i, port in enumerate(("main", "b"), 1)
+        ]
+        with ServoBus(specs, reply_timeout_min=0.1, clock=ManualClock(bus)) as servo_bus:
+            enabled(servo_bus)
+            servo_bus.watchdog(0.1)
+            bus.advance(0.3)
+            for device in servo_bus._devices:
+                device.tripped = True
+            bus.pull("main")
+            servo_bus.poll_status()
+            bus.sync()
+            assert bus.servo(2).get("bus_watchdog") == 5
+
+
 def test_disable_reaches_all_although_one_is_silent(emulated, enabled):
     with emulated("sts", 3, clock="steps") as (bus, servo_bus):
         enabled(servo_bus)
@@ -429,6 +448,27 @@ def test_positions_go_on_across_the_seam(emulated, enabled):
         bus.advance(0.5)
         servo_bus.read()
         assert servo_bus.read().position[0] == pytest.approx(sample.position[0], abs=0.01)
+        assert "encoder's range" not in str(polled(servo_bus))
+
+
+def polled(servo_bus):
+    """Return the faults that ten readings of status registers report."""
+    return [getattr(servo_bus.poll_status(), "faults", ()) for _ in range(10)]
+
+
+def test_a_single_turn_servo_that_was_moved_across_the_seam_is_reported(emulated):
+    spec = {"zero": 4000.0, "lower": None, "upper": None}
+    with emulated("sts", 1, clock="steps", spec=spec, is_open=False) as (bus, servo_bus):
+        shaft, count, found = bus.servos[0].shaft, bus.servos[0].model.count, {}
+        shaft.angle = 3950 * count
+        servo_bus.open()
+        for position in (3950, 4050, 4150, 4050, 3950):
+            shaft.angle = position * count
+            bus.advance(0.2)
+            sample = servo_bus.read()
+            assert sample.position[0] == pytest.approx((position - 4000) * count, abs=1.5 * count)
+            found[position] = "past the end of its encoder's range" in str(polled(servo_bus))
+        assert found == {3950: False, 4050: False, 4150: True}
 
 
 def test_chance_faults_never_give_a_stale_sample(emulated, enabled):

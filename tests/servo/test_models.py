@@ -12,41 +12,65 @@ from pliant import ConfigError, Servos
 from pliant.emulator import MODELS as EMULATED
 from pliant.servo import ServoSpec, Units, get_model, list_models
 from pliant.servo.models import by_number
+from pliant.servo.models.base import estimated_mechanics
 
 ALL = list_models()
-#: By family: names of registers in the driver and in the emulator, where they differ.
+#: By register of the driver: names in the tables of the emulator, of which each table has the first
+#: that it contains; empty if the emulator lacks the register.
 NAMES = {
-    "model": "model_number",
-    "firmware": {"dxl1": "firmware_version", "x": "firmware_version", "sts": "firmware_major"},
-    "return_delay": "return_delay_time",
-    "return_level": {"sts": "response_level", "": "status_return_level"},
-    "position_min": {"dxl1": "cw_angle_limit", "": "min_position_limit"},
-    "position_max": {"dxl1": "ccw_angle_limit", "": "max_position_limit"},
-    "temperature_limit": "temperature_limit",
-    "voltage_min": "min_voltage_limit",
-    "voltage_max": "max_voltage_limit",
-    "max_torque": {"sts": "max_torque_limit", "dxl1": "max_torque"},
-    "shutdown": {"sts": "unloading_condition", "": "shutdown"},
-    "goal": "goal_position",
-    "speed_cap": {"dxl1": "moving_speed", "sts": "goal_velocity", "x": "profile_velocity"},
-    "position": "present_position",
-    "speed": {"dxl1": "present_speed", "": "present_velocity"},
-    "voltage": {"x": "present_input_voltage", "": "present_voltage"},
-    "temperature": "present_temperature",
-    "load": "present_load",
-    "current": "present_current",
-    "mode": "operating_mode",
-    "gain": {"sts": "p_coefficient", "x": "position_p_gain"},
-    "hardware_error": "hardware_error_status",
-    "watchdog": "bus_watchdog",
-    "torque_enable": "torque_enable",
-    "overload_torque": "overload_torque",
-    "drive_mode": "drive_mode",
-    "current_limit": "current_limit",
-    "pwm_limit": "pwm_limit",
-    "limit": {"sts": "torque_limit", "dxl1": "torque_limit"},
-    "goal_velocity": "goal_velocity",
+    "model": ("model_number",),
+    "firmware": ("firmware_version", "firmware_major"),
+    "id": ("id",),
+    "baud": ("baud_rate",),
+    "shadow_id": ("secondary_id",),
+    "return_delay": ("return_delay_time",),
+    "return_level": ("response_level", "status_return_level"),
+    "position_min": ("cw_angle_limit", "min_position_limit"),
+    "position_max": ("ccw_angle_limit", "max_position_limit"),
+    "temperature_limit": ("temperature_limit",),
+    "voltage_min": ("min_voltage_limit",),
+    "voltage_max": ("max_voltage_limit",),
+    "max_torque": ("max_torque_limit", "max_torque"),
+    "shutdown": ("unloading_condition", "shutdown"),
+    "goal": ("goal_position",),
+    "goal_time": ("goal_time",),
+    "speed_cap": ("moving_speed", "profile_velocity", "goal_velocity"),
+    "acceleration_cap": ("goal_acceleration", "profile_acceleration", "acceleration"),
+    "position": ("present_position",),
+    "speed": ("present_speed", "present_velocity"),
+    "voltage": ("present_input_voltage", "present_voltage"),
+    "temperature": ("present_temperature",),
+    "load": ("present_load",),
+    "current": ("present_current",),
+    "pwm": ("present_pwm",),
+    "mode": ("operating_mode",),
+    "gain": ("p_coefficient", "position_p_gain", "p_gain", "cw_compliance_slope"),
+    "slope_ccw": ("ccw_compliance_slope",),
+    "margin_cw": ("cw_compliance_margin",),
+    "margin_ccw": ("ccw_compliance_margin",),
+    "punch": ("punch",),
+    "hardware_error": ("hardware_error_status",),
+    "condition": ("status",),
+    "watchdog": ("bus_watchdog",),
+    "torque_enable": ("torque_enable",),
+    "overload_torque": ("overload_torque",),
+    "protective_torque": ("protective_torque",),
+    "protection_time": ("protection_time",),
+    "phase": ("phase",),
+    "homing_offset": ("homing_offset",),
+    "lock": ("lock",),
+    "drive_mode": ("drive_mode",),
+    "current_limit": ("current_limit",),
+    "pwm_limit": ("pwm_limit",),
+    "pwm_goal": ("goal_pwm",),
+    "limit": ("torque_limit", "goal_current", "goal_pwm"),
+    "goal_velocity": ("goal_velocity",),
 }
+#: Sign coding of the driver, by that of the emulator.
+SIGNS = {None: "unsigned", 0: "twos", 10: "bit10", 11: "bit11", 15: "bit15"}
+#: Registers whose sign driver and emulator may code differently: positions within a turn are never
+#: negative, and a tripped watchdog is 255 for the driver, -1 for the emulator.
+OTHER_SIGNS = {"position_min", "position_max", "goal", "position", "watchdog"}
 TWINS = {"STS3215-7.4V-191": "STS3215-C044", "STS3215-7.4V-147": "STS3215-C046"}
 
 
@@ -62,17 +86,18 @@ def test_the_supported_models_are_in_the_table():
 @pytest.mark.parametrize("name", ALL)
 def test_two_independent_tables_agree(name):
     servo_model, emulated_model = get_model(name), emulated(name)
-    compared = 0
-    for field, alias in NAMES.items():
-        other = alias if isinstance(alias, str) else alias.get(emulated_model.family, alias.get(""))
-        if field not in servo_model.family.registers or other is None:
-            continue
-        register, twin = servo_model.family.registers[field], emulated_model.table[other]
+    table = {register.name: register for register in emulated_model.table}
+    for field, register in servo_model.family.registers.items():
+        twin = next((table[alias] for alias in NAMES[field] if alias in table), None)
+        assert twin is not None, field
         # The driver reads the major and minor firmware version of Feetech servos as one number.
         twin_size = 2 if name.startswith("STS") and field == "firmware" else twin.size
         assert (register.address, register.size) == (twin.address, twin_size), field
-        compared += 1
-    assert compared >= 18
+        if field not in OTHER_SIGNS:
+            assert register.sign == SIGNS[twin.sign], field
+    gain = next(table[alias] for alias in NAMES["gain"] if alias in table)
+    # The tables disagree about the factory gains of the XC models, which are read at open.
+    assert servo_model.gain_default == gain.initial or name.startswith("XC")
     assert servo_model.model_number == emulated_model.number
     assert 2 * np.pi / servo_model.counts_per_turn == pytest.approx(emulated_model.count, rel=1e-3)
     assert servo_model.max_position == emulated_model.max_position
@@ -116,6 +141,18 @@ def test_every_row_gives_servos(name):
     assert servos.kp[0] > 0
     assert servos.friction[0] < 0.1 * servos.max_torque[0]
     assert servos.limit_type == get_model(name).limit_type
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_identified_gears_resemble_the_estimated_ones(name):
+    servo_model = get_model(name)
+    voltages, stalls = zip(*servo_model.stall, strict=True)
+    estimate = estimated_mechanics(float(np.interp(servo_model.rated, voltages, stalls)))
+    # The gears of the STS3215 have more damping and inertia than those of Dynamixel servos.
+    largest = 7.0 if name.startswith("STS") else 1.5
+    for field in ("friction", "damping", "armature"):
+        ratio = getattr(servo_model.mechanics, field) / getattr(estimate, field)
+        assert 0.35 < ratio < (1.5 if field == "friction" else largest), field
 
 
 def test_unknown_models_are_answered_with_near_ones():
