@@ -7,6 +7,7 @@ from mismatch import Mismatch, Parameters
 
 import pliant
 from pliant.arm import Arm, GripperConfig
+from pliant.drive import ServoStatus
 from pliant.sim import Plant, SimDrive
 
 
@@ -240,6 +241,20 @@ def test_implausible_readings_are_not_used(make):
     arm.clock.wait_until(arm.clock.now() + 0.01)
     assert not arm.read().fresh
     assert arm.counters["jumps"] > 0
+    arm.leave_enabled()
+
+
+def test_voltage_and_temperature_are_those_of_the_servo_that_reported_them(make):
+    arm = make()
+    arm.enable()
+    q, reports = arm.read().q, [(11.5, 41.0), (11.0, None), (None, 45.0)]
+    arm.drive.poll_status = lambda: ServoStatus("elbow_pitch", *reports.pop(0), ())
+    for voltage, temperature in ((11.5, 41.0), (11.0, 41.0), (11.0, 45.0)):
+        arm.write(q)
+        state = arm.read()
+        assert (state.voltage[3], state.temperature[3]) == (voltage, temperature)
+        assert np.isnan(np.delete([state.voltage, state.temperature], 3, axis=1)).all()
+    arm.drive.poll_status = lambda: None
     arm.leave_enabled()
 
 

@@ -8,6 +8,7 @@ import pytest
 from bare_arm import bare_arm
 
 import pliant
+from pliant.arm._shutdown import UNKNOWN_TIME, _wait_for_silent
 from pliant.arm._startup import initial_commands, stiffness_mismatch
 from pliant.arm._transfer import RISE, SINK, _WeightTransfer
 
@@ -93,6 +94,41 @@ def test_joints_that_have_torque_keep_goals_that_their_limits_can_hold():
     assert limit[:3] == pytest.approx([limits[0], limits[1], usable[2]])
     assert goal[3:] == pytest.approx([0.2 + 0.1, 0.2])
     assert lead == pytest.approx([0.0, 0.0, 0.0, 0.0, weight[4] / kp[4]])
+
+
+class Silent:
+    """An arm whose joint `elbow` answers after a time, in ticks of 10 ms; None: never."""
+
+    def __init__(self, answers=None):
+        self.ticks, self.answers, self.clock = 0, answers, self
+
+    def now(self):
+        return 0.01 * self.ticks
+
+    def wait_until(self, deadline):
+        assert deadline == pytest.approx(self.now() + 0.01)
+        self.ticks += 1
+
+    def sample(self):
+        if self.ticks % 2:
+            raise pliant.ServoError("a lost reply")
+
+    def resume_silent(self):
+        return self.ticks == self.answers
+
+    def unknown_joints(self):
+        return ["elbow"]
+
+
+def test_a_descent_waits_for_a_silent_joint_for_a_limited_time():
+    answering, aborted, silent = Silent(100), Silent(), Silent()
+    _wait_for_silent(answering, 100.0, lambda: False)
+    assert answering.ticks == 100
+    _wait_for_silent(aborted, 100.0, lambda: aborted.ticks >= 7)
+    assert aborted.ticks == 7
+    with pytest.raises(pliant.ServoFaultError, match=r"no answer from elbow.*torque stays"):
+        _wait_for_silent(silent, 100.0, lambda: False)
+    assert silent.now() == pytest.approx(UNKNOWN_TIME, abs=0.011)
 
 
 def test_a_stiffness_is_judged_by_leads_that_are_large_enough():

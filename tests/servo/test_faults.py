@@ -375,6 +375,20 @@ def test_a_watchdog_that_trips_is_cleared_as_soon_as_it_is_seen(emulated, enable
         assert not servo_bus.refusing.any()
 
 
+def test_a_tripped_watchdog_is_cleared_before_torque_comes_on(emulated, enabled):
+    with emulated("xm", 2, clock="steps", is_open=False) as (bus, servo_bus):
+        bus.servos[1].put("bus_watchdog", -1)
+        servo_bus.open()
+        limit = enabled(servo_bus)
+        servo_bus.write([0.1, 0.1], limit)
+        servo_bus.read()
+        bus.sync()
+        assert [servo.get("bus_watchdog") for servo in bus.servos] == [0, 0]
+        assert all(servo.get("goal_position") > 2100 for servo in bus.servos)
+        # A watchdog that has not tripped is not touched.
+        assert {write.id for write in bus.log.writes("bus_watchdog")} == {2}
+
+
 def test_a_port_that_is_gone_delays_no_watchdog_of_another(enabled):
     parts = [*devices("xm", 1), *devices("xm", 2, port="b")[1:]]
     with Emulator(parts, clock="steps") as bus:

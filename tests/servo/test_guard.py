@@ -44,6 +44,36 @@ def test_a_lost_answer_is_drained_and_asked_for_again(fake_bus):
     assert (counters.retries, counters.timeouts, counters.drains) == (1, 1, 1)
 
 
+@pytest.mark.parametrize(
+    ("name", "call"),
+    [
+        ("read", lambda guard: guard.read(1, SHORT)),
+        ("sync_read", lambda guard: guard.sync_read([1], SHORT)),
+        ("write", lambda guard: guard.write(1, 24, b"\1")),
+        ("sync_write", lambda guard: guard.sync_write([1], 30, [b"\0\0"])),
+        ("sync_encode", lambda guard: guard.sync_encode([1], [SHORT], None, [0], None)),
+        ("ping", lambda guard: guard.ping(1)),
+        ("reboot", lambda guard: guard.reboot(1)),
+    ],
+)
+def test_every_request_notices_a_port_that_is_gone(fake_bus, name, call):
+    bus = fake_bus([1])
+    guard, sent = guarded(bus), []
+
+    def lost(*_):
+        sent.append(name)
+        raise failure("gone")
+
+    setattr(bus, name, lost)
+    for _ in range(2):
+        with pytest.raises(BusError) as error:
+            call(guard)
+        assert error.value.reason == "gone"
+        assert guard.is_gone
+    assert sent == [name]
+    assert not bus.calls
+
+
 def test_two_failures_are_reported(fake_bus):
     bus = fake_bus([1])
     guard = guarded(bus)

@@ -7,6 +7,10 @@ import pytest
 from pliant import ServoError
 from pliant.emulator import Device, Emulator, Timing
 from pliant.servo import ServoBus, ServoSpec
+from pliant.servo import _device as driver
+from pliant.servo._handshake import RegisterImage
+from pliant.servo._transactions import Reply
+from pliant.servo.models import Block
 
 
 def opened(bus, *specs, **options):
@@ -67,6 +71,15 @@ def test_a_wrong_supply_is_refused():
         bus.supply(12.0)
         with pytest.raises(ServoError, match=r"12\.0 V and STS3215-7\.4V takes"):
             opened(bus, PAN)
+
+
+def test_a_register_that_was_not_read_has_no_value():
+    device = driver.Device(ServoSpec(name="pan", model="MX-64", id=1, port=""), 0, 1, 1)
+    image = RegisterImage(device, Reply(Block(36, 2), b"\7\1", 0, 0.0))
+    assert image["position"] == 263
+    assert "goal" in image
+    with pytest.raises(KeyError, match="goal"):
+        _ = image["goal"]
 
 
 def test_a_range_across_the_seam_is_refused():

@@ -1,6 +1,7 @@
 """`Units`: conversions in both directions, for all models, voltages, gears, signs and torques."""
 
 import math
+from itertools import pairwise
 
 import pytest
 from hypothesis import given
@@ -8,6 +9,7 @@ from hypothesis import strategies as st
 
 from pliant import ConfigError
 from pliant.servo import ServoSpec, Units, get_model, list_models
+from pliant.servo.spec import at_voltage
 
 specs = st.builds(
     ServoSpec,
@@ -96,6 +98,19 @@ def test_a_duty_follows_the_voltage_and_a_current_does_not():
         assert at_low.torque_per_unit == pytest.approx(ratio * at_high.torque_per_unit, rel=0.02)
 
 
+@pytest.mark.parametrize("name", list_models())
+def test_a_table_holds_at_its_voltages_and_is_proportional_outside(name):
+    for table in (get_model(name).stall, get_model(name).no_load):
+        for voltage, value in table:
+            assert at_voltage(table, voltage) == pytest.approx(value)
+        for (low, at_low), (high, at_high) in pairwise(table):
+            middle = at_voltage(table, 0.5 * (low + high))
+            assert middle == pytest.approx(0.5 * (at_low + at_high))
+        (low, at_low), (high, at_high) = table[0], table[-1]
+        assert at_voltage(table, 0.5 * low) == pytest.approx(0.5 * at_low)
+        assert at_voltage(table, 2.0 * high) == pytest.approx(2.0 * at_high)
+
+
 def test_numbers_per_count_of_the_makers_data():
     spec = ServoSpec(name="j", model="EX-106+", id=1, port="p")
     assert Units.of(spec, 18.5).torque_per_unit == pytest.approx(0.0107, rel=0.01)
@@ -121,7 +136,12 @@ def test_stall_torque_can_be_the_users():
         ({"zero": math.nan}, "zero is a count"),
         ({"lower": 1.0, "upper": -1.0}, "lower must be below upper"),
         ({"secondary": (1, 1)}, "the secondary has the id"),
-        ({"stall": -1.0}, "stall must be above 0"),
+        ({"stall": 0.0}, "stall must be above 0"),
+        ({"no_load": 0.0}, "no_load must be above 0"),
+        ({"kp": 0.0}, "kp must be above 0"),
+        ({"friction": -0.1}, "friction is at least 0"),
+        ({"lower": 1.0, "upper": 1.0}, "lower must be below upper"),
+        ({"voltage": (12.0, 12.0)}, "voltage is lowest and highest"),
         ({"torque_offset": -1.0}, "torque_offset"),
         ({"model": "MX-65"}, "did you mean"),
     ],
