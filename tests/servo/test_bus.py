@@ -271,6 +271,17 @@ def test_a_patience_that_a_silent_bus_would_outlast_is_refused(patience):
         ServoBus([spec], reply_timeout_min=patience)
 
 
+def test_a_closed_copy_has_the_settings_of_its_bus():
+    spec = ServoSpec(name="pan", model="MX-64", id=1, port="p")
+    servo_bus = ServoBus(
+        [spec], baudrate={"p": 57_600}, rate=40.0, reply_timeout_min=0.04, speed=1.5
+    )
+    names = ("specs", "names", "_baudrate", "_cycle", "_reply_timeout_min", "_budget", "_speed")
+    copy = servo_bus.closed_copy()
+    assert [getattr(copy, name) for name in names] == [getattr(servo_bus, name) for name in names]
+    assert (copy._cycle, copy._reply_timeout_min, copy._speed) == (0.025, 0.04, 1.5)
+
+
 def test_a_bus_that_is_not_open_raises():
     servo_bus = ServoBus([ServoSpec(name="pan", model="MX-64", id=1, port="p")])
     for call in (servo_bus.read, servo_bus.poll_status, servo_bus.identify, servo_bus.disable):

@@ -144,6 +144,21 @@ def test_every_row_gives_servos(name):
 
 
 @pytest.mark.parametrize("name", ALL)
+def test_data_of_the_maker_go_together(name):
+    """The no-load speed is proportional to the voltage, the stall torque nearly so."""
+    servo_model = get_model(name)
+    low, high = servo_model.voltage
+    assert low <= servo_model.rated <= high
+    for table, scatter in ((servo_model.no_load, 1.05), (servo_model.stall, 1.3)):
+        voltages, values = np.array(table).T
+        assert low <= voltages[0]
+        assert voltages[-1] <= high
+        assert np.all(np.diff(voltages) > 0.0)
+        assert np.all(np.diff(values) > 0.0)
+        assert np.max(values / voltages) < scatter * np.min(values / voltages)
+
+
+@pytest.mark.parametrize("name", ALL)
 def test_identified_gears_resemble_the_estimated_ones(name):
     servo_model = get_model(name)
     voltages, stalls = zip(*servo_model.stall, strict=True)
@@ -173,6 +188,8 @@ def test_variants_share_a_model_number():
 def test_servos_of_names_the_voltage_and_counts_the_gains():
     with pytest.raises(ConfigError, match=r"XL430-W250 takes 6\.5 to 12 V, got 24 V"):
         Servos.of(["XL430-W250"], voltage=24.0)
+    for voltage in get_model("XL430-W250").voltage:
+        assert Servos.of(["XL430-W250"], voltage=voltage).max_torque[0] > 0.0
     with pytest.raises(ConfigError, match="1 gains for 2 servos"):
         Servos.of(["RX-64", "RX-64"], gains=[32])
     with pytest.raises(ConfigError, match="a list"):
