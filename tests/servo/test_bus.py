@@ -1,11 +1,15 @@
 """`ServoBus` over a pseudo-terminal: all families, torque on and off, units, order of writes."""
 
+import math
+
 import numpy as np
 import pytest
 
 from pliant import ConfigError, ServoError, ShapeError
 from pliant.emulator import Device, Emulator, ManualClock
 from pliant.servo import ServoBus, ServoSpec
+from pliant.servo import _device as driver
+from pliant.servo.bus import check_agreement
 
 KINDS = ["sts", "xm", "xl430", "ex", "rx", "mx"]
 #: Name of the emulator's register of the supply voltage, for each kind.
@@ -269,6 +273,26 @@ def test_a_patience_that_a_silent_bus_would_outlast_is_refused(patience):
     spec = ServoSpec(name="pan", model="MX-64", id=1, port="/dev/null")
     with pytest.raises(ConfigError, match=f"reply_timeout_min must .* 1 s, got {patience:g}"):
         ServoBus([spec], reply_timeout_min=patience)
+
+
+def test_two_servos_of_a_joint_disagree_only_about_angles_that_were_read():
+    spec = ServoSpec(name="lift", model="XM540-W270", id=1, port="p", secondary=(2, -1))
+    joint = [driver.Device(spec, 0, 1, 1), driver.Device(spec, 0, 2, -1)]
+    for q, second_q, is_wrong in (
+        (math.nan, math.nan, False),
+        (0.3, math.nan, False),
+        (0.3, 0.39, False),
+        (0.3, 0.41, True),
+        (0.3, 0.19, True),
+        (0.3, 0.21, False),
+    ):
+        for device, angle in zip(joint, (q, second_q), strict=True):
+            device._last_reading[0] = device.units.zero + device.units.sign * (
+                angle / device.units.count
+            )
+        check_agreement(joint)
+        assert ("secondaries" in joint[0].other_faults) is is_wrong
+        assert not joint[1].other_faults
 
 
 def test_a_closed_copy_has_the_settings_of_its_bus():

@@ -105,12 +105,23 @@ def test_a_failure_before_torque_comes_on_names_no_fall(emulated, enabled, kind)
         assert {write.data for write in bus.log.writes("torque_enable")} == {b"\0"}
 
 
+@pytest.mark.parametrize("had_torque", [False, True])
 @pytest.mark.parametrize("kind", ["sts", "xm"])
-def test_a_failure_while_torque_comes_on_says_that_the_arm_falls(kind, monkeypatch):
-    """The line fails once the first servo has torque, until torque is switched off again."""
+def test_a_failure_while_torque_comes_on_says_what_falls(kind, had_torque, monkeypatch):
+    """The line fails once a servo gets torque, until torque is switched off again.
+
+    One of two servos may have torque already, and keeps it.
+    """
     with Emulator(devices(kind, 2), clock="steps") as bus, servo_bus_on(bus, kind, 2) as servo_bus:
         goal, faults = servo_bus.read().position, bus.lines["main"].faults
-        faults.chance = lambda: "deaf" if any(servo.enabled for servo in bus.servos) else None
+        switched = bus.servos
+        if had_torque:
+            servo_bus.enable(goal, 0.5 * servo_bus.servos.max_torque)
+            servo_bus.disable(["joint0"])
+            bus.sync()
+            bus.log.clear()
+            switched = bus.servos[:1]
+        faults.chance = lambda: "deaf" if any(servo.enabled for servo in switched) else None
         switch_off = _enable._try_off
 
         def mended(device, ports):
@@ -118,12 +129,14 @@ def test_a_failure_while_torque_comes_on_says_that_the_arm_falls(kind, monkeypat
             return switch_off(device, ports)
 
         monkeypatch.setattr(_enable, "_try_off", mended)
-        with pytest.raises(ServoError, match=r"\ntorque is OFF again in all joints.*falls"):
+        where = "joint0" if had_torque else "all joints"
+        with pytest.raises(ServoError, match=rf"\ntorque is OFF again in {where}: .*falls"):
             servo_bus.enable(goal, 0.5 * servo_bus.servos.max_torque)
         bus.sync()
-        assert len(bus.log.writes("torque_enable")) >= 2
-        assert not any(servo.enabled for servo in bus.servos)
-        assert not (servo_bus.enabled | servo_bus.torque_unknown | servo_bus.unrestored).any()
+        assert len(bus.log.writes("torque_enable")) >= len(switched)
+        assert [servo.enabled for servo in bus.servos] == [False, had_torque]
+        assert servo_bus.enabled.tolist() == [False, had_torque]
+        assert not (servo_bus.torque_unknown | servo_bus.unrestored).any()
 
 
 @pytest.mark.parametrize("kind", KINDS)
