@@ -8,6 +8,7 @@ import sys
 import textwrap
 import time
 from contextlib import ExitStack
+from types import SimpleNamespace
 
 import numpy as np
 import programs
@@ -23,7 +24,7 @@ import pliant
 from experiments import guardian
 from experiments.guardian import Case, is_running
 from pliant.arm import _guardian_process
-from pliant.arm._guardian import is_available
+from pliant.arm._guardian import Guardian, is_available
 from pliant.arm._messages import MESSAGES
 from pliant.config.factory import make_emulator
 from pliant.emulator import emulate
@@ -239,6 +240,19 @@ def test_a_guardian_that_was_killed_is_reported_and_changes_nothing(bus, begin):
     _, stderr = program.communicate()
     assert "the guardian of the arm has ended before the program" in stderr
     assert not bus.call("recorder.has_torque")
+
+
+@pytest.mark.parametrize("has_ended", [False, True])
+def test_an_arm_at_rest_is_watched_no_longer(has_ended, monkeypatch):
+    guardian, sent, messages = object.__new__(Guardian), [], []
+    monkeypatch.setattr(MESSAGES, "post", lambda text, _: messages.append(text))
+    guardian._drive = object()
+    guardian._process = SimpleNamespace(poll=lambda: -9 if has_ended else None)
+    guardian._line = SimpleNamespace(send=sent.append)
+    for _ in range(2):
+        guardian.rest()
+    assert sent == [None]
+    assert len(messages) == has_ended
 
 
 def test_the_guardian_lowers_the_arm_after_a_descent_that_failed(bus, begin):
