@@ -1,5 +1,7 @@
 """Torque on with one lost packet, registers that bound the torque, and their restoration."""
 
+import time
+
 import numpy as np
 import pytest
 
@@ -137,6 +139,19 @@ def test_a_failure_while_torque_comes_on_says_what_falls(kind, had_torque, monke
         assert [servo.enabled for servo in bus.servos] == [False, had_torque]
         assert servo_bus.enabled.tolist() == [False, had_torque]
         assert not (servo_bus.torque_unknown | servo_bus.unrestored).any()
+
+
+def test_a_silent_servo_delays_no_watchdog_of_the_others():
+    with Emulator(devices("xm", 3), clock="steps") as bus, servo_bus_on(bus, "xm", 3) as servo_bus:
+        servo_bus.read()
+        time.sleep(0.05)  # longer than the time for a cycle, of which this call gets a new one
+        bus.unplug(1)
+        before = servo_bus.counters
+        with pytest.raises(ServoError, match=r"\Ajoint0 did not confirm"):
+            servo_bus.watchdog(0.2)
+        assert servo_bus.counters["retries"] == before["retries"]
+        assert 1 <= servo_bus.counters["timeouts"] - before["timeouts"] <= 4
+        assert [servo.get("bus_watchdog") for servo in bus.servos[1:]] == [10, 10]
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -1,11 +1,14 @@
 """Faults of bus and servos: stale data, missing readings, error messages, jumps of the goal."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from pliant import ServoError, ServoFaultError
 from pliant.emulator import Emulator, ManualClock
 from pliant.servo import BusError, ServoBus, ServoSpec
+from pliant.servo._port import StatusPoller
 from tests.servo.conftest import devices
 
 PROTOCOLS = ["sts", "xm", "mx"]
@@ -463,6 +466,20 @@ def test_positions_go_on_across_the_seam(emulated, enabled):
         servo_bus.read()
         assert servo_bus.read().position[0] == pytest.approx(sample.position[0], abs=0.01)
         assert "encoder's range" not in str(polled(servo_bus))
+
+
+def test_every_register_that_may_be_wrong_is_read_again_in_turn():
+    family = SimpleNamespace(
+        status="feetech", status_blocks=["all"], stored_command_blocks=["limit", "goal"]
+    )
+    device = SimpleNamespace(
+        family=family, conditions=(), other_faults={}, has_mismatch=True, has_suspect_register=True
+    )
+    device.has_new_status = False
+    poller = StatusPoller([[device]])
+    blocks = [poller._choose()[1] for _ in range(8)]
+    assert blocks[::2] == ["goal", "limit", "goal", "limit"]
+    assert blocks[1::2] == ["all"] * 4
 
 
 def polled(servo_bus):
