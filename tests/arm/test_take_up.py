@@ -10,7 +10,7 @@ from bare_arm import bare_arm
 import pliant
 from pliant.arm._shutdown import UNKNOWN_TIME, _wait_for_silent
 from pliant.arm._startup import initial_commands, stiffness_mismatch
-from pliant.arm._transfer import RISE, SINK, _WeightTransfer
+from pliant.arm._transfer import MIN_BALANCE, RISE, SINK, _DisturbanceObserver, _WeightTransfer
 
 START = [0.0, -0.3, 0.3, 0.9, 0.0]  # [rad]
 
@@ -152,6 +152,51 @@ def test_a_stiffness_is_judged_by_leads_that_are_large_enough():
     ):
         assert not is_warned(*accepted), accepted
         assert is_warned(*warned), warned
+
+
+@pytest.mark.parametrize("dt", [0.004, 0.02])
+def test_errors_of_the_disturbance_observer_have_three_equal_poles(dt):
+    """The errors of displacement, speed and disturbance decay like those of the critical filter."""
+    pole, columns = 30.0, []
+    for error in np.eye(3):
+        observer = _DisturbanceObserver(0.0, np.zeros(1))
+        observer._squares = np.inf  # long after the start
+        observer.x, observer.v, observer.d = (np.array([value]) for value in error)
+        observer.update(dt, np.zeros(1), pole)
+        columns.append(np.concatenate([observer.x, observer.v, observer.d]))
+    expected = np.poly([np.exp(-pole * dt)] * 3)
+    assert np.poly(np.transpose(columns)) == pytest.approx(expected, abs=1e-9)
+
+
+def test_the_disturbance_observer_finds_a_load_from_rest_at_once():
+    """Readings without noise of a joint that falls from rest, with a brake after 20 ms."""
+    d, u = np.array([-4.0]), np.array([3.0])
+    observer = _DisturbanceObserver(0.0, np.zeros(1))
+    observer.send(0.02, u)
+    for k in range(1, 26):
+        time = 0.004 * k
+        braked = max(time - 0.02, 0.0)
+        observer.update(time, 0.5 * d * time**2 + 0.5 * u * braked**2, 30.0)
+    assert observer.d == pytest.approx(d, rel=0.05)
+    assert observer.v == pytest.approx(d * 0.1 + u * 0.08, rel=0.05)
+    x, v = observer.predict(0.15)
+    assert v == pytest.approx(observer.v + (observer.d + u) * 0.05)
+    assert x == pytest.approx(observer.x + observer.v * 0.05 + (observer.d + u) * 0.05**2 / 2)
+
+
+def test_the_balance_of_an_arm_at_rest_takes_its_shortest_time():
+    arm = bare_arm("so101", q=START)
+    arm.open()
+    io = arm._io
+    io.sample()
+    goal, limit, lead, taken = initial_commands(io, np.zeros(5, dtype=bool))
+    io.orders = {name: (0.0, 0.1) for name in arm.grippers}
+    io.start(goal, limit, lead)
+    before = io.clock.now()
+    transfer = _WeightTransfer(io, arm._points, io.q, taken, 100.0)
+    torque = transfer._balance()
+    assert MIN_BALANCE <= io.clock.now() - before < MIN_BALANCE + 0.02
+    assert torque == pytest.approx(io.gravity(), abs=np.asarray(arm.servos.friction).max())
 
 
 def test_an_arm_moves_if_its_tool_sinks_or_rises_by_more_than_encoder_steps():
