@@ -9,6 +9,7 @@ from pliant import ConfigError, ServoError, ShapeError
 from pliant.emulator import Device, Emulator, ManualClock
 from pliant.servo import ServoBus, ServoSpec
 from pliant.servo import _device as driver
+from pliant.servo._transactions import TransactionGuard
 from pliant.servo.bus import check_agreement
 
 KINDS = ["sts", "xm", "xl430", "ex", "rx", "mx"]
@@ -304,6 +305,25 @@ def test_a_closed_copy_has_the_settings_of_its_bus():
     copy = servo_bus.closed_copy()
     assert [getattr(copy, name) for name in names] == [getattr(servo_bus, name) for name in names]
     assert (copy._cycle, copy._reply_timeout_min, copy._speed) == (0.025, 0.04, 1.5)
+
+
+def test_a_closed_copy_spends_a_limited_time_on_its_first_readings(emulated, enabled, monkeypatch):
+    """The servos still turn to the last goals of the program that has ended."""
+    budgets, start_cycle = [], TransactionGuard.start_cycle
+
+    def recorded(guard, budget=math.inf):
+        budgets.append((budget, guard.counters.transactions))
+        start_cycle(guard, budget)
+
+    with emulated("sts", 2, clock="steps") as (_, servo_bus):
+        enabled(servo_bus)
+        copy = servo_bus.closed_copy()
+        servo_bus.close()
+        monkeypatch.setattr(TransactionGuard, "start_cycle", recorded)
+        copy.reopen()
+        copy.close()
+    assert {budget for budget, _ in budgets} == {copy._budget}
+    assert budgets[0][1] == 0
 
 
 def test_a_bus_that_is_not_open_raises():
