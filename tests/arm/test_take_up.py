@@ -199,6 +199,29 @@ def test_the_balance_of_an_arm_at_rest_takes_its_shortest_time():
     assert torque == pytest.approx(io.gravity(), abs=np.asarray(arm.servos.friction).max())
 
 
+def test_the_balance_pushes_no_harder_than_for_the_largest_load():
+    arm = bare_arm("so101", q=START)
+    arm.open()
+    arm._io.sample()
+    q, model, friction = arm._io.q, arm.model, np.asarray(arm.servos.friction)
+    transfer = _WeightTransfer(arm._io, arm._points, q, np.zeros(5, dtype=bool), 100.0)
+    weight, h = np.asarray(model.gravity(q)), 1e-5
+    heights = [
+        [model.forward_kinematics(q + side * step)[2, 3] for side in (1.0, -1.0)]
+        for step in h * np.eye(5)
+    ]
+    load = 0.6 * 9.81 * np.subtract(*np.transpose(heights)) / (2.0 * h)  # of 0.6 kg [N·m]
+    beyond = 0.6 * np.abs(weight) + 2.0 * friction
+    low, high = transfer._bounds
+    usable = np.asarray(arm.servos.max_torque)
+    assert low == pytest.approx(np.maximum(weight + np.minimum(load, 0.0) - beyond, -usable))
+    assert high == pytest.approx(np.minimum(weight + np.maximum(load, 0.0) + beyond, usable))
+    assert (low > -usable).sum() == 4
+    for disturbance in (-1e6, 1e6):
+        transfer._observer.d[:] = disturbance
+        assert np.all((low <= transfer._control()) & (transfer._control() <= high))
+
+
 def test_an_arm_moves_if_its_tool_sinks_or_rises_by_more_than_encoder_steps():
     arm = bare_arm("so101", q=START)
     arm.open()
