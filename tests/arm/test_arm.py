@@ -281,6 +281,18 @@ def test_a_gripper_holds_on_while_the_arm_comes_down(make):
     assert set(orders[-20:-1]) == {(0.2, 0.05)}
 
 
+def test_limit_and_lever_of_a_gripper_are_checked():
+    assert GripperConfig(limit=0.0, lever=1e-3).limit == 0.0
+    for options, message in (
+        ({"limit": -0.1}, "limit must be at least 0"),
+        ({"limit": np.nan}, "limit must be at least 0"),
+        ({"lever": 0.0}, "lever must be above 0"),
+        ({"lever": np.nan}, "lever must be above 0"),
+    ):
+        with pytest.raises(pliant.ConfigError, match=message):
+            GripperConfig(**options)
+
+
 def test_arguments_of_an_arm_that_do_not_match_are_named(make):
     model = pliant.robots.arm7()
     drive = SimDrive(Plant(pliant.robots.so101()))

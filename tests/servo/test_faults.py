@@ -7,8 +7,8 @@ import pytest
 
 from pliant import ServoError, ServoFaultError
 from pliant.emulator import Emulator, ManualClock
-from pliant.servo import BusError, ServoBus, ServoSpec
-from pliant.servo._port import StatusPoller
+from pliant.servo import BusError, ServoBus, ServoSpec, get_model
+from pliant.servo._port import Port, StatusPoller
 from tests.servo.conftest import devices
 
 PROTOCOLS = ["sts", "xm", "mx"]
@@ -466,6 +466,29 @@ def test_positions_go_on_across_the_seam(emulated, enabled):
         servo_bus.read()
         assert servo_bus.read().position[0] == pytest.approx(sample.position[0], abs=0.01)
         assert "encoder's range" not in str(polled(servo_bus))
+
+
+@pytest.mark.parametrize(
+    ("change", "is_cheap"),
+    [
+        ({}, True),
+        ({"_baudrate": 57_600}, False),
+        ({"_cycle": 0.001}, False),
+        ({"latency": 0.001}, True),
+        ({"latency": 0.002}, False),
+        ({"guard": SimpleNamespace(is_gone=False, response_delay=0.0005)}, False),
+        ({"guard": SimpleNamespace(is_gone=True, response_delay=0.0)}, False),
+        ({"model": "STS3215-7.4V"}, False),
+        ({"model": "MX-64"}, False),
+    ],
+)
+def test_the_torque_of_all_servos_is_read_only_if_it_takes_little_of_a_cycle(change, is_cheap):
+    guard = SimpleNamespace(is_gone=False, response_delay=0.0)
+    port = SimpleNamespace(_baudrate=1_000_000, _cycle=0.01, latency=None, guard=guard)
+    vars(port).update(change)
+    family = get_model(change.get("model", "XM430-W350")).family
+    port.devices = [SimpleNamespace(family=family)] * 5
+    assert Port.can_read_all(port) is is_cheap
 
 
 def test_every_register_that_may_be_wrong_is_read_again_in_turn():
