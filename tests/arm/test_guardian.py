@@ -255,6 +255,20 @@ def test_an_arm_at_rest_is_watched_no_longer(has_ended, monkeypatch):
     assert len(messages) == has_ended
 
 
+def test_a_forked_child_leaves_guardian_and_ports_to_its_parent():
+    guardian, calls = object.__new__(Guardian), []
+    guardian._supervisor = SimpleNamespace(heartbeat="shared")
+    guardian._drive = SimpleNamespace(drop_ports=lambda: calls.append("drop"))
+    guardian._line = SimpleNamespace(
+        close=lambda: calls.append("close"), send=lambda _: calls.append("send")
+    )
+    guardian.leave()
+    assert sorted(calls) == ["close", "drop"]
+    assert guardian._supervisor.heartbeat.tolist() == [0.0, 0.0]
+    guardian.rest()
+    assert "send" not in calls
+
+
 def test_the_guardian_lowers_the_arm_after_a_descent_that_failed(bus, begin):
     program, pid = begin("""
         import pliant.arm.arm

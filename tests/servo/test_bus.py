@@ -109,6 +109,13 @@ def test_no_goal_while_disabled(emulated, enabled, kind):
         assert servo_bus.enabled.tolist() == [False, True]
 
 
+def test_a_single_servo_without_torque_gets_no_goal(emulated):
+    with emulated("sts", 1, clock="steps") as (bus, servo_bus):
+        servo_bus.write([0.5], [1.0])
+        servo_bus.read()
+        assert bus.log.writes() == []
+
+
 @pytest.mark.parametrize("kind", ["sts", "xm"])
 @pytest.mark.parametrize(
     ("value", "message"),

@@ -1,9 +1,11 @@
 """`TransactionGuard` on a scripted bus: drain, one retry, no stale reply, bounded cycle time."""
 
+from dataclasses import asdict
+
 import pytest
 
 from pliant.servo import BusError
-from pliant.servo._transactions import TransactionGuard
+from pliant.servo._transactions import Counters, TransactionGuard
 from pliant.servo.models import Block
 
 SHORT, LONG, LONGER = Block(56, 15), Block(55, 16), Block(54, 17)
@@ -29,6 +31,10 @@ def test_a_good_answer_costs_one_request(fake_bus):
     assert guard.read(1, SHORT).data[0] == 7
     assert bus.calls == [("read", 1, 56, 15)]
     assert guard.counters.transactions == 1
+
+
+def test_counters_start_at_zero():
+    assert set(asdict(Counters()).values()) == {0}
 
 
 def test_a_lost_answer_is_drained_and_asked_for_again(fake_bus):

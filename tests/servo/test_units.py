@@ -1,6 +1,7 @@
 """`Units`: conversions in both directions, for all models, voltages, gears, signs and torques."""
 
 import math
+from dataclasses import replace
 from itertools import pairwise
 
 import pytest
@@ -149,6 +150,17 @@ def test_stall_torque_can_be_the_users():
 def test_errors_of_a_spec_name_the_cause(change, match):
     with pytest.raises(ConfigError, match=match):
         ServoSpec(**{"name": "j", "model": "MX-64", "id": 1, "port": "p", **change})
+
+
+@pytest.mark.parametrize(
+    "change", [{"no_load": 50.0}, {"voltage": (9.0, 13.0)}, {"model_number": 310}]
+)
+def test_a_spec_replaces_no_other_value_of_its_model(change):
+    row, plain = joint("MX-64", **change).row, get_model("MX-64")
+    (field,) = change
+    assert replace(row, **{field: getattr(plain, field)}) == plain
+    expected = ((plain.rated, 50.0),) if field == "no_load" else change[field]
+    assert getattr(row, field) == expected
 
 
 def test_signs_of_registers():
