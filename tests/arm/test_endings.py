@@ -7,6 +7,7 @@ import signal
 import sys
 import textwrap
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -317,6 +318,19 @@ def test_an_error_during_the_descent_leaves_torque_on(make, grasp, monkeypatch, 
     assert np.abs(arm.drive.plant.read().q - grasp).max() < 0.1
     assert arm.drive.enabled.all()
     assert "was not lowered (ZeroDivisionError: a bug): torque is ON in" in caplog.text
+
+
+@pytest.mark.parametrize("has_signal", [False, True])
+def test_a_signal_during_the_descent_raises_the_level_of_its_message(make, monkeypatch, has_signal):
+    arm, levels = make(), {}
+    arm._signals = SimpleNamespace(has_pending=has_signal, stopped=False)
+    for name in ("install", "hold", "begin", "deliver", "restore"):
+        setattr(arm._signals, name, lambda *_: None)
+    monkeypatch.setattr(MESSAGES, "post", lambda text, level, **_: levels.update({text: level}))
+    with arm:
+        pass
+    (level,) = (level for text, level in levels.items() if "was lowered: torque OFF" in text)
+    assert level == (logging.WARNING if has_signal else logging.DEBUG)
 
 
 @pytest.mark.parametrize("direction", ["lower", "higher"])

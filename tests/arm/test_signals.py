@@ -73,6 +73,7 @@ def test_the_end_of_the_program_lowers():
         arm.enable()
     """)
     assert result.stdout.split() == ["False", "False", "True"], result.stderr
+    assert "is being lowered (the program ends)" in result.stderr
     assert result.returncode == 0
 
 

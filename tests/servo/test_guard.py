@@ -80,6 +80,29 @@ def test_every_request_notices_a_port_that_is_gone(fake_bus, name, call):
     assert not bus.calls
 
 
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda guard: guard.read(2, SHORT),
+        lambda guard: guard.sync_read([2], SHORT),
+        lambda guard: guard.write(2, 24, b"\1"),
+        lambda guard: guard.ping(2),
+        lambda guard: guard.reboot(2),
+    ],
+)
+def test_every_request_with_a_reply_waits_for_a_silent_line(fake_bus, call):
+    bus = fake_bus([1, 2])
+    guard = guarded(bus)
+    bus.plan = [failure("timeout", 1)]
+    with pytest.raises(BusError):
+        guard.read(1, SHORT, again=False)
+    bus.late = 2
+    call(guard)
+    assert [c[:2] for c in bus.calls[1:4]] == [("ping", 200)] * 3
+    assert bus.calls[4][0] != "ping" or bus.calls[4][1] == 2
+    assert guard.counters.drains == 1
+
+
 def test_two_failures_are_reported(fake_bus):
     bus = fake_bus([1])
     guard = guarded(bus)

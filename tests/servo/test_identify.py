@@ -134,6 +134,17 @@ def test_notes_list_the_changes_of_setup():
     assert "500 µs" in notes
 
 
+@pytest.mark.parametrize(
+    ("model", "options"), [("XM430-W350", {"operating_mode": 5}), ("MX-64", {}), ("STS3215", {})]
+)
+def test_a_servo_that_was_set_up_has_no_notes(model, options):
+    if model != "STS3215":
+        options = {**options, "shutdown": 0b10100, "return_delay_time": 0}
+    with Emulator([Device(model, id=1, **options)], clock="steps") as bus:
+        name = "STS3215-7.4V" if model == "STS3215" else model
+        assert opened(bus, {**PAN, "model": name}).found[0].notes == ()
+
+
 @pytest.mark.parametrize("model", ["STS3215", "XM430-W350", "MX-64"])
 def test_the_latency_of_an_adapter_is_measured_and_reported(model):
     parts = [
