@@ -24,7 +24,7 @@ import pliant
 from experiments import guardian
 from experiments.guardian import Case, is_running
 from pliant.arm import _guardian_process
-from pliant.arm._guardian import Guardian, is_available
+from pliant.arm._guardian import Guardian, _running, is_available
 from pliant.arm._messages import MESSAGES
 from pliant.config.factory import make_emulator
 from pliant.emulator import emulate
@@ -253,6 +253,33 @@ def test_an_arm_at_rest_is_watched_no_longer(has_ended, monkeypatch):
         guardian.rest()
     assert sent == [None]
     assert len(messages) == has_ended
+
+
+@pytest.mark.parametrize(
+    ("watches", "hand_over", "expected"),
+    [
+        (True, True, ["close"]),
+        (True, False, ["send", "close", "kill", "wait"]),
+        (False, True, ["close", "kill", "wait"]),
+    ],
+)
+def test_a_guardian_is_ended_unless_the_arm_is_handed_over_to_it(watches, hand_over, expected):
+    class Recorded(Guardian):
+        def __init__(self):
+            calls = [
+                (name, lambda *_, name=name: self.calls.append(name))
+                for name in ("send", "close", "kill", "wait")
+            ]
+            self.calls, self._drive = [], object() if watches else None
+            self._line = SimpleNamespace(**dict(calls[:2]))
+            self._process = SimpleNamespace(poll=lambda: None, **dict(calls[2:]))
+            _running.add(self)
+
+    guardian = Recorded()
+    assert guardian.is_ours
+    guardian.close(hand_over=hand_over)
+    assert guardian.calls == expected
+    assert not guardian.is_ours
 
 
 def test_a_forked_child_leaves_guardian_and_ports_to_its_parent():
