@@ -4,8 +4,17 @@ from dataclasses import asdict
 
 import pytest
 
-from pliant.servo import BusError
+from pliant import ServoError
+from pliant.servo import BusError, get_model
 from pliant.servo._transactions import Counters, TransactionGuard
+from pliant.servo.eeprom import (
+    RegisterChange,
+    check_set_id,
+    plan_restore,
+    plan_setup,
+    set_id,
+    write_changes,
+)
 from pliant.servo.models import Block
 
 SHORT, LONG, LONGER = Block(56, 15), Block(55, 16), Block(54, 17)
@@ -290,3 +299,32 @@ def test_a_write_goes_out_although_the_line_is_not_silent(fake_bus):
         guard.read(1, SHORT)
     guard.sync_write([1], 42, [b"abcdefgh"])
     assert bus.memory[1][42:50] == b"abcdefgh"
+
+
+def test_eeprom_of_another_model_or_with_torque_is_not_touched(fake_bus):
+    bus, row = fake_bus([1, 2]), get_model("MX-64")
+    guard, change = guarded(bus), RegisterChange("pan", 1, "shutdown", 36, 4, "why")
+    calls = (
+        lambda: plan_setup(guard, "pan", 1, row),
+        lambda: plan_restore(guard, "pan", 1, row, [change]),
+        lambda: check_set_id(guard, "pan", row, 1, 3),
+        lambda: set_id(guard, "pan", row, 1, 3),
+    )
+    for call in calls:
+        with pytest.raises(ServoError, match="is model number 0, the configuration says MX-64"):
+            call()
+    assert plan_restore(guard, "pan", 2, row, [change]) == []
+    assert plan_restore(guard, "lift", 1, row, [change]) == []
+    bus.memory[1][0:2] = row.model_number.to_bytes(2, "little")
+    changed = {change.register for change in plan_setup(guard, "pan", 1, row)}
+    assert changed == {"return_level", "position_max"}
+    (restored,) = plan_restore(guard, "pan", 1, row, [change])
+    assert (restored.old, restored.new) == (0, 36)
+    check_set_id(guard, "pan", row, 1, 3)
+    with pytest.raises(ServoError, match="answers to id 2 already"):
+        check_set_id(guard, "pan", row, 1, 2)
+    bus.memory[1][row.family.registers["torque_enable"].address] = 1
+    for call in (*calls[2:], lambda: write_changes(guard, row.family, [change])):
+        with pytest.raises(ServoError, match=r"torque of .* is on"):
+            call()
+    assert not any(call[0] in {"write", "sync_write"} for call in bus.calls)
