@@ -7,6 +7,7 @@ import signal
 import sys
 import textwrap
 import time
+import traceback
 from types import SimpleNamespace
 
 import numpy as np
@@ -254,6 +255,26 @@ def test_an_interrupt_during_the_descent_is_raised_after_it():
     assert not any("signals.py" in line or "loop.py" in line for line in trace)
     assert trace[-2:] == ["KeyboardInterrupt", next(s for s in lines if "torque OFF" in s)]
     assert code in {130, -signal.SIGINT}
+
+
+@pytest.mark.parametrize(
+    ("module", "is_hidden"),
+    [
+        ("pliant", True),
+        ("pliant.loop", True),
+        ("pliant.arm._signals", True),
+        ("pliantly.loop", False),
+        ("program", False),
+    ],
+)
+def test_the_traceback_of_an_interrupt_ends_in_the_program(module, is_hidden):
+    scope = {"__name__": module}
+    exec("def wait(): raise KeyboardInterrupt", scope)
+    with pytest.raises(KeyboardInterrupt) as caught:
+        scope["wait"]()
+    pliant.arm.arm._end_at_the_caller(caught.value)
+    names = [frame.name for frame in traceback.extract_tb(caught.value.__traceback__)]
+    assert ("wait" in names) is not is_hidden
 
 
 def test_endings_are_logged_where_the_program_configures_logging():

@@ -311,6 +311,8 @@ def test_the_guardian_lowers_the_arm_after_a_descent_that_failed(bus, begin):
             time.sleep(300.0)
     """)
     assert program.stdout.readline() == "failed\n"
+    # Ctrl-C and the end of the terminal do not reach the guardian.
+    assert os.getsid(pid) == pid != os.getsid(program.pid)
     assert wait_for(pid)
     assert is_running(program.pid)
     assert not bus.call("recorder.has_torque")

@@ -134,6 +134,9 @@ def test_a_controller_of_another_robot_is_refused(make, make_controller):
             pliant.Loop(arm, controller)
 
 
+AXIS = np.array([0.0, 0.6, 0.8])
+
+
 def turned(angle):
     """Return a rotation about x [rad] as a homogeneous matrix."""
     matrix = np.eye(4)
@@ -152,9 +155,9 @@ def shifted(distance):
     [
         ({}, True),
         ({"kind": "prismatic"}, False),
-        ({"axis": turned(0.04)[:3, 2]}, True),
-        ({"axis": turned(0.06)[:3, 2]}, False),
-        ({"axis": np.array([0.0, 0.0, -1.0])}, False),
+        ({"axis": turned(0.04)[:3, :3] @ AXIS}, True),
+        ({"axis": turned(0.08)[:3, :3] @ AXIS}, False),
+        ({"axis": -AXIS}, False),
         ({"matrix": turned(-0.04)}, True),
         ({"matrix": turned(-0.06)}, False),
         ({"matrix": shifted(-0.004)}, True),
@@ -162,7 +165,7 @@ def shifted(distance):
     ],
 )
 def test_a_joint_with_another_place_axis_or_type_is_another_joint(change, is_same):
-    plain = {"kind": "revolute", "axis": np.array([0.0, 0.0, 1.0]), "matrix": np.eye(4)}
+    plain = {"kind": "revolute", "axis": AXIS, "matrix": np.eye(4)}
 
     def robot(**lift):
         joints = [
