@@ -316,6 +316,9 @@ def test_the_guardian_lowers_the_arm_after_a_descent_that_failed(bus, begin):
     assert wait_for(pid)
     assert is_running(program.pid)
     assert not bus.call("recorder.has_torque")
+    program.kill()
+    _, stderr = program.communicate()
+    assert "was lowered: torque OFF" in stderr
 
 
 @full

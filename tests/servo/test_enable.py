@@ -141,6 +141,18 @@ def test_a_failure_while_torque_comes_on_says_what_falls(kind, had_torque, monke
         assert not (servo_bus.torque_unknown | servo_bus.unrestored).any()
 
 
+def test_registers_that_were_not_restored_after_a_failure_are_named(monkeypatch):
+    def fails(device, ports):
+        raise ServoError("no answer")
+
+    monkeypatch.setattr(_enable, "_restore_registers", fails)
+    with Emulator(devices("xm", 2), clock="steps") as bus, servo_bus_on(bus, "xm", 2) as servo_bus:
+        bus.stick(2, "torque_enable", 0)
+        with pytest.raises(ServoError, match=rf"\njoint0, joint1: {_enable.KEPT}\Z"):
+            servo_bus.enable(servo_bus.read().position, 0.5 * servo_bus.servos.max_torque)
+        assert servo_bus.unrestored.all()
+
+
 def test_a_silent_servo_delays_no_watchdog_of_the_others():
     with Emulator(devices("xm", 3), clock="steps") as bus, servo_bus_on(bus, "xm", 3) as servo_bus:
         servo_bus.read()
@@ -152,6 +164,22 @@ def test_a_silent_servo_delays_no_watchdog_of_the_others():
         assert servo_bus.counters["retries"] == before["retries"]
         assert 1 <= servo_bus.counters["timeouts"] - before["timeouts"] <= 4
         assert [servo.get("bus_watchdog") for servo in bus.servos[1:]] == [10, 10]
+        # A line without any reply is not tried again.
+        bus.short()
+        before = servo_bus.counters
+        with pytest.raises(ServoError, match=r"\Ajoint0, joint1, joint2 did not confirm"):
+            servo_bus.watchdog(0.1)
+        assert servo_bus.counters["timeouts"] - before["timeouts"] <= 3
+
+
+def test_a_watchdog_whose_packets_are_lost_is_set_again():
+    with Emulator(devices("xm", 2), clock="steps") as bus, servo_bus_on(bus, "xm", 2) as servo_bus:
+        servo_bus.read()
+        lost = [*["deaf"] * 2, *[None] * 2, *["deaf"] * 2]
+        bus.lines["main"].faults.chance = lambda: lost.pop(0) if lost else None
+        servo_bus.watchdog(0.2)
+        assert [servo.get("bus_watchdog") for servo in bus.servos] == [10, 10]
+        assert not lost
 
 
 @pytest.mark.parametrize("kind", KINDS)
