@@ -162,6 +162,19 @@ def test_a_signal_other_than_ctrl_c_stays_pending(monkeypatch):
     assert not presses.aborted
 
 
+@pytest.mark.parametrize("cause", [KeyboardInterrupt, SystemExit])
+def test_a_descent_that_ctrl_c_caused_has_announced_the_next_one(monkeypatch, cause):
+    presses, announcement = Presses(monkeypatch, leaving=False), SimpleNamespace(is_written=True)
+    try:
+        raise cause
+    except cause:
+        presses.registry.begin(presses.arms[0], announcement)
+    assert presses.arms[0].leaving
+    assert presses.press(10.0) == []
+    assert presses.aborted == [0] * (cause is KeyboardInterrupt)
+    assert len(presses.posted) == (cause is SystemExit)
+
+
 def test_signals_without_a_descent_are_raised_once(monkeypatch):
     presses = Presses(monkeypatch, leaving=False)
     (error,) = presses.press(10.0, 10.5, 11.0)

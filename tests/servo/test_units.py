@@ -1,6 +1,7 @@
 """`Units`: conversions in both directions, for all models, voltages, gears, signs and torques."""
 
 import math
+import random
 from dataclasses import replace
 from itertools import pairwise
 
@@ -161,6 +162,22 @@ def test_a_spec_replaces_no_other_value_of_its_model(change):
     assert replace(row, **{field: getattr(plain, field)}) == plain
     expected = ((plain.rated, 50.0),) if field == "no_load" else change[field]
     assert getattr(row, field) == expected
+
+
+@pytest.mark.parametrize("name", ["STS3215-7.4V", "MX-64", "XM430-W350", "XL430-W250"])
+def test_a_block_holds_its_registers(name):
+    family, rng = get_model(name).family, random.Random(0)
+    for block in (*family.read, *family.write_blocks, *family.status_blocks) * 3:
+        layout, values = family.layout(block), {}
+        for register in layout.decode(bytes(block.size)):
+            size, sign = family.registers[register].size, family.registers[register].sign
+            bits = {"unsigned": 8 * size, "twos": 8 * size - 1}.get(sign) or int(sign[3:])
+            low, high = 0 if sign == "unsigned" else 1 - 2**bits, 2**bits - 1
+            values[register] = rng.choice([low, rng.randint(low, high), high])
+        data = layout.encode(values)
+        assert len(data) == block.size
+        assert layout.decode(data) == values
+        assert {name: family.decode(block, data, name) for name in values} == values
 
 
 def test_signs_of_registers():
