@@ -314,7 +314,9 @@ def test_a_closed_copy_has_the_settings_of_its_bus():
     assert (copy._cycle, copy._reply_timeout_min, copy._speed) == (0.025, 0.04, 1.5)
 
 
-def test_a_closed_copy_spends_a_limited_time_on_its_first_readings(emulated, enabled, monkeypatch):
+def test_a_reading_and_the_first_ones_of_a_closed_copy_take_a_limited_time(
+    emulated, enabled, monkeypatch
+):
     """The servos still turn to the last goals of the program that has ended."""
     budgets, start_cycle = [], TransactionGuard.start_cycle
 
@@ -325,8 +327,11 @@ def test_a_closed_copy_spends_a_limited_time_on_its_first_readings(emulated, ena
     with emulated("sts", 2, clock="steps") as (_, servo_bus):
         enabled(servo_bus)
         copy = servo_bus.closed_copy()
-        servo_bus.close()
         monkeypatch.setattr(TransactionGuard, "start_cycle", recorded)
+        servo_bus.read()
+        assert [budget for budget, _ in budgets] == [servo_bus._budget]
+        budgets.clear()
+        servo_bus.close()
         copy.reopen()
         copy.close()
     assert {budget for budget, _ in budgets} == {copy._budget}

@@ -1,14 +1,15 @@
 """Errors when a servo bus is opened, with their remedies."""
 
 import time
+from types import SimpleNamespace
 
 import pytest
 
 from pliant import ServoError
 from pliant.emulator import Device, Emulator, Timing
-from pliant.servo import ServoBus, ServoSpec
+from pliant.servo import BusError, ServoBus, ServoSpec
 from pliant.servo import _device as driver
-from pliant.servo._handshake import RegisterImage
+from pliant.servo._handshake import RegisterImage, _broken
 from pliant.servo._transactions import Reply
 from pliant.servo.models import Block
 
@@ -99,6 +100,20 @@ def test_two_servos_on_one_id():
     text = complaint(parts, PAN)
     assert "pan" in text
     assert "Two servos on one id" in text
+
+
+@pytest.mark.parametrize(
+    ("count", "all_of_them", "is_the_line"),
+    [(1, True, False), (2, True, True), (2, False, False), (3, True, True)],
+)
+def test_broken_replies_of_all_servos_point_to_the_line(count, all_of_them, is_the_line):
+    error = BusError("broken answer", "corrupt")
+    broken = [(SimpleNamespace(name=f"joint{i}"), error) for i in range(count)]
+    texts = _broken(SimpleNamespace(path="port"), broken, all_of_them=all_of_them)
+    assert ["every answer is broken" in text for text in texts] == (
+        [True] if is_the_line else [False] * count
+    )
+    assert all("Two servos on one id" in text for text in texts) is not is_the_line
 
 
 def test_a_port_that_is_not_there():
