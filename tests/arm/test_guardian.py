@@ -431,6 +431,7 @@ def test_registers_and_zeros_are_those_of_the_ended_program_on_two_ports(monkeyp
         assert np.flatnonzero(np.isnan(goals)).tolist() == [2]
         assert copy.enabled.all()
         assert np.flatnonzero(copy.torque_unknown).tolist() == [2]
+        assert [device.enabled for device in copy._devices] == [True, True, False, True, True]
         others = [0, 1, 3, 4]
         positions = [emulated.servo(joint + 1).get("goal_position") for joint in others]
         goal_registers = copy._codec.encode(others, np.nan_to_num(goals), [0.5] * 5, None, 0.0)[0]

@@ -1,6 +1,7 @@
 """`ServoBus` over a pseudo-terminal: all families, torque on and off, units, order of writes."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -301,6 +302,15 @@ def test_two_servos_of_a_joint_disagree_only_about_angles_that_were_read():
         check_agreement(joint)
         assert ("secondaries" in joint[0].other_faults) is is_wrong
         assert not joint[1].other_faults
+
+
+def test_every_port_is_dropped(monkeypatch):
+    dropped = []
+    monkeypatch.setattr("pliant.servo.bus.drop_port", dropped.append)
+    servo_bus = ServoBus([ServoSpec(name="pan", model="MX-64", id=1, port="p")])
+    servo_bus._ports = [SimpleNamespace(path=path) for path in ("p", "q")]
+    servo_bus.drop_ports()
+    assert dropped == ["p", "q"]
 
 
 def test_a_closed_copy_has_the_settings_of_its_bus():

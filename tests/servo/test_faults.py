@@ -8,6 +8,7 @@ import pytest
 from pliant import ServoError, ServoFaultError
 from pliant.emulator import Emulator, ManualClock
 from pliant.servo import BusError, ServoBus, ServoSpec, get_model
+from pliant.servo._device import Device
 from pliant.servo._port import Port, StatusPoller
 from tests.servo.conftest import devices
 
@@ -489,6 +490,28 @@ def test_the_torque_of_all_servos_is_read_only_if_it_takes_little_of_a_cycle(cha
     family = get_model(change.get("model", "XM430-W350")).family
     port.devices = [SimpleNamespace(family=family)] * 5
     assert Port.can_read_all(port) is is_cheap
+
+
+def test_a_register_is_wrong_after_three_packets_and_half_a_second():
+    """Each row: number of the write packet, value read, time [s]; counts of mismatches; fault."""
+    device = Device(ServoSpec(name="pan", model="STS3215-7.4V", id=1, port=""), 0, 1, 1)
+    device.enabled, written = True, 2000
+    for packet, value, now, wrong, mismatches, is_fault in (
+        (1, 2000, 10.0, 0, 0, False),
+        (2, 1900, 10.1, 1, 1, False),
+        (2, 1900, 10.2, 1, 1, False),
+        (3, 1900, 10.3, 2, 2, False),
+        (4, 1900, 10.4, 3, 3, False),
+        (5, 1900, 10.6, 4, 4, True),
+        (6, 2000, 10.7, 0, 4, False),
+        (7, 1900, 11.3, 1, 5, False),
+    ):
+        device._last_sent = (written, 500, packet, b"")
+        device._compare("goal", value, written, now)
+        assert device._read_backs["goal"].wrong == wrong
+        assert device.mismatches == mismatches
+        assert device.has_mismatch is (wrong > 0)
+        assert ("goal" in device.other_faults) is is_fault
 
 
 def test_every_register_that_may_be_wrong_is_read_again_in_turn():

@@ -86,6 +86,11 @@ def test_a_gear_turns_slower_and_pushes_harder():
     assert geared.stiffness(32) == pytest.approx(4 * direct.stiffness(32))
 
 
+def test_the_smallest_compliance_slope_is_one_count():
+    servo = joint("RX-64")
+    assert servo.stiffness(0) == servo.stiffness(1) == pytest.approx(2 * servo.stiffness(2))
+
+
 def test_two_servos_share_the_torque():
     single, secondaries = joint("XM540-W270"), joint("XM540-W270", secondary=(2, -1))
     assert secondaries.usable(2047) == pytest.approx(2 * single.usable(2047))
