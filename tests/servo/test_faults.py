@@ -514,6 +514,33 @@ def test_a_register_is_wrong_after_three_packets_and_half_a_second():
         assert ("goal" in device.other_faults) is is_fault
 
 
+@pytest.mark.parametrize(
+    ("volts", "temperatures", "expected"),
+    [
+        ([12.0, 11.5], [30.0, 40.0], (11.5, 40.0)),
+        ([11.5, 12.0], [40.0, 30.0], (11.5, 40.0)),
+        ([None, 12.0], [None, 30.0], (12.0, 30.0)),
+        ([None, None], [None, None], (None, None)),
+        ([12.0], [30.0], (12.0, 30.0)),
+    ],
+)
+def test_the_status_of_a_joint_is_that_of_its_worst_servo(volts, temperatures, expected):
+    family = SimpleNamespace(status="feetech", status_blocks=[])
+    joint = [
+        SimpleNamespace(
+            spec=SimpleNamespace(name="lift"),
+            family=family,
+            voltage=voltage,
+            temperature=temperature,
+            faults=(f"fault {number}",),
+        )
+        for number, (voltage, temperature) in enumerate(zip(volts, temperatures, strict=True))
+    ]
+    status = StatusPoller([joint])._status(0)
+    assert (status.name, status.voltage, status.temperature) == ("lift", *expected)
+    assert status.faults == tuple(f"fault {number}" for number in range(len(joint)))
+
+
 def test_every_register_that_may_be_wrong_is_read_again_in_turn():
     family = SimpleNamespace(
         status="feetech", status_blocks=["all"], stored_command_blocks=["limit", "goal"]

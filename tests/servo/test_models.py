@@ -170,6 +170,19 @@ def test_identified_gears_resemble_the_estimated_ones(name):
         assert 0.35 < ratio < (1.5 if field == "friction" else largest), field
 
 
+def test_variants_of_a_servo_differ_by_their_gear_ratio():
+    full = get_model("STS3215-7.4V")
+    for name in ("STS3215-7.4V-191", "STS3215-7.4V-147"):
+        variant = get_model(name)
+        ratio = variant.stall[0][1] / full.stall[0][1]
+        assert ratio == pytest.approx(int(name[-3:]) / 345)
+        assert variant.no_load[0][1] == pytest.approx(full.no_load[0][1] / ratio)
+        gears, plain = variant.mechanics, full.mechanics
+        assert gears.friction == pytest.approx(ratio * plain.friction)
+        assert gears.damping == pytest.approx(ratio**2 * plain.damping)
+        assert gears.armature == pytest.approx(ratio**2 * plain.armature)
+
+
 def test_unknown_models_are_answered_with_near_ones():
     with pytest.raises(ConfigError, match="did you mean: XM430-W350"):
         get_model("XM430W350")
