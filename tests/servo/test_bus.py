@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 
 from pliant import ConfigError, ServoError, ShapeError
+from pliant._core import ServoCodec
 from pliant.emulator import Device, Emulator, ManualClock
 from pliant.servo import ServoBus, ServoSpec
 from pliant.servo import _device as driver
+from pliant.servo._port import Port
 from pliant.servo._transactions import TransactionGuard
 from pliant.servo.bus import check_agreement
 
@@ -302,6 +304,31 @@ def test_two_servos_of_a_joint_disagree_only_about_angles_that_were_read():
         check_agreement(joint)
         assert ("secondaries" in joint[0].other_faults) is is_wrong
         assert not joint[1].other_faults
+
+
+def test_a_port_and_its_requests_have_the_settings_of_the_bus(fake_bus):
+    spec = ServoSpec(name="pan", model="MX-64", id=253, port="p")
+    assert ServoBus([spec])._cycle == 0.01
+    device, opened = driver.Device(spec, 0, 253, 1), []
+    device.attach(ServoCodec(1, 1), 0)
+
+    def open_transport(*arguments):
+        opened.append(arguments)
+        return fake_bus([253])
+
+    port = Port(
+        "p",
+        [device],
+        baudrate=57_600,
+        cycle=0.02,
+        reply_timeout_min=0.07,
+        open_transport=open_transport,
+        clock=lambda: 42.0,
+    )
+    guard = port.guard
+    assert opened == [("p", 57_600, "p1")]
+    assert (guard._baudrate, guard._cycle, guard._reply_timeout_min) == (57_600, 0.02, 0.07)
+    assert (guard.unused_id, guard.latency, guard._sample_clock()) == (252, 0.001, 42.0)
 
 
 def test_every_port_is_dropped(monkeypatch):
