@@ -19,7 +19,7 @@ pytest.importorskip("mujoco", reason="these programs drive a simulated arm: extr
 
 import pliant
 import pliant.arm.arm
-from pliant.arm._messages import LOGGER, MESSAGES, MessageQueue
+from pliant.arm._messages import LOGGER, MESSAGES, MessageQueue, _is_enabled
 from pliant.arm._shutdown import ExitMessages
 
 pytestmark = pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="signals of POSIX")
@@ -323,6 +323,24 @@ def test_silence_is_had_by_the_means_of_logging(silence, is_printed):
         assert "lowered (KeyError: 'policy')" in lines[0]
     else:
         assert not lines
+
+
+@pytest.mark.parametrize(
+    ("own", "package", "lowest"),
+    [
+        (logging.NOTSET, logging.NOTSET, logging.INFO),
+        (logging.NOTSET, logging.ERROR, logging.ERROR),
+        (logging.DEBUG, logging.ERROR, logging.DEBUG),
+        (logging.CRITICAL, logging.DEBUG, logging.CRITICAL),
+    ],
+)
+def test_levels_of_loggers_hold_without_a_handler(monkeypatch, own, package, lowest):
+    monkeypatch.setattr(LOGGER, "level", own)
+    monkeypatch.setattr(logging.getLogger("pliant"), "level", package)
+    levels = (logging.DEBUG, logging.INFO, logging.WARNING, logging.ERROR, logging.CRITICAL)
+    assert [level for level in levels if _is_enabled(level)] == [v for v in levels if v >= lowest]
+    monkeypatch.setattr(LOGGER, "disabled", True)
+    assert not any(map(_is_enabled, levels))
 
 
 def test_an_error_during_the_descent_leaves_torque_on(make, grasp, monkeypatch, caplog):

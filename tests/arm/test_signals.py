@@ -175,6 +175,50 @@ def test_a_descent_that_ctrl_c_caused_has_announced_the_next_one(monkeypatch, ca
     assert len(presses.posted) == (cause is SystemExit)
 
 
+@pytest.mark.parametrize(
+    ("pending", "active", "stopped", "expected"),
+    [
+        (None, None, False, None),
+        (None, KeyboardInterrupt(), False, None),
+        (signal.SIGINT, None, False, "interrupt"),
+        (signal.SIGTERM, None, False, 128 + signal.SIGTERM),
+        # The stronger signal ends the program.
+        (signal.SIGINT, SystemExit(128 + signal.SIGTERM), False, None),
+        (signal.SIGTERM, KeyboardInterrupt(), False, 128 + signal.SIGTERM),
+        (None, None, True, 128 + signal.SIGINT),
+        (signal.SIGTERM, KeyboardInterrupt(), True, 128 + signal.SIGTERM),
+    ],
+)
+def test_a_pending_signal_is_raised_after_the_last_descent(
+    monkeypatch, pending, active, stopped, expected
+):
+    presses = Presses(monkeypatch, leaving=False)
+    registry, (arm, other) = presses.registry, presses.arms
+
+    def deliver():
+        registry.pending, arm.stopped = pending, stopped
+        try:
+            if active is not None:
+                raise active
+            registry.deliver(arm)
+        except BaseException:
+            if active is None:
+                raise
+            registry.deliver(arm)
+
+    if expected is None:
+        deliver()
+    else:
+        with pytest.raises((KeyboardInterrupt, SystemExit)) as caught:
+            deliver()
+        code = getattr(caught.value, "code", "interrupt")
+        assert code == expected
+    assert (registry.pending, arm.stopped) == (None, False)
+    other.leaving = True
+    deliver()
+    assert (registry.pending, arm.stopped) == (pending, stopped)
+
+
 def test_signals_without_a_descent_are_raised_once(monkeypatch):
     presses = Presses(monkeypatch, leaving=False)
     (error,) = presses.press(10.0, 10.5, 11.0)

@@ -281,6 +281,17 @@ def test_limits_that_a_killed_program_left_are_not_handed_back(emulated, enabled
         assert bus.servos[0].get(name) == full
 
 
+def test_a_limit_of_zero_after_an_overload_is_not_handed_back(emulated, enabled):
+    for found, restored in ((0, 1000), (1, 1), (700, 700)):
+        with emulated("sts", 1, clock="steps", is_open=False) as (bus, servo_bus):
+            bus.servos[0].put("torque_limit", found)
+            servo_bus.open()
+            enabled(servo_bus)
+            servo_bus.disable()
+            bus.sync()
+            assert bus.servos[0].get("torque_limit") == restored
+
+
 def test_lerobot_moves_an_arm_after_pliant_as_before(emulated, enabled):
     """The registers that LeRobot does not write, such as limits and speeds, are restored."""
 
