@@ -98,6 +98,8 @@ def test_two_independent_tables_agree(name):
     gain = next(table[alias] for alias in NAMES["gain"] if alias in table)
     # The tables disagree about the factory gains of the XC models, which are read at open.
     assert servo_model.gain_default == gain.initial or name.startswith("XC")
+    if "current_limit" in table:
+        assert servo_model.current_max == table["current_limit"].initial
     assert servo_model.model_number == emulated_model.number
     assert 2 * np.pi / servo_model.counts_per_turn == pytest.approx(emulated_model.count, rel=1e-3)
     assert servo_model.max_position == emulated_model.max_position
