@@ -242,6 +242,11 @@ def test_a_guardian_that_was_killed_is_reported_and_changes_nothing(bus, begin):
     assert not bus.call("recorder.has_torque")
 
 
+def test_a_process_that_does_not_exist_is_not_stopped():
+    assert not _guardian_process._is_stopped(2**22 + 1)  # above the largest process id of Linux
+    assert not _guardian_process._is_stopped(os.getpid())
+
+
 @pytest.mark.parametrize("has_ended", [False, True])
 def test_an_arm_at_rest_is_watched_no_longer(has_ended, monkeypatch):
     guardian, sent, messages = object.__new__(Guardian), [], []

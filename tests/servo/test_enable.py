@@ -141,6 +141,14 @@ def test_a_failure_while_torque_comes_on_says_what_falls(kind, had_torque, monke
         assert not (servo_bus.torque_unknown | servo_bus.unrestored).any()
 
 
+def test_a_register_that_does_not_take_its_value_is_named(emulated, enabled):
+    with emulated("sts", 1, clock="steps") as (bus, servo_bus):
+        bus.stick(1, "acceleration", 7)
+        message = r"joint0 did not take acceleration_cap: it reads 7, written was 0; nothing"
+        with pytest.raises(ServoError, match=message):
+            enabled(servo_bus)
+
+
 def test_registers_that_were_not_restored_after_a_failure_are_named(monkeypatch):
     def fails(device, ports):
         raise ServoError("no answer")

@@ -496,6 +496,7 @@ def test_a_register_is_wrong_after_three_packets_and_half_a_second():
     """Each row: number of the write packet, value read, time [s]; counts of mismatches; fault."""
     device = Device(ServoSpec(name="pan", model="STS3215-7.4V", id=1, port=""), 0, 1, 1)
     device.enabled, written = True, 2000
+    assert not device.has_suspect_register
     for packet, value, now, wrong, mismatches, is_fault in (
         (1, 2000, 10.0, 0, 0, False),
         (2, 1900, 10.1, 1, 1, False),
@@ -511,6 +512,7 @@ def test_a_register_is_wrong_after_three_packets_and_half_a_second():
         assert device._read_backs["goal"].wrong == wrong
         assert device.mismatches == mismatches
         assert device.has_mismatch is (wrong > 0)
+        assert device.has_suspect_register is (wrong > 0 and not is_fault)
         assert ("goal" in device.other_faults) is is_fault
 
 

@@ -9,7 +9,7 @@ from pliant import ServoError
 from pliant.emulator import Device, Emulator, Timing
 from pliant.servo import BusError, ServoBus, ServoSpec
 from pliant.servo import _device as driver
-from pliant.servo._handshake import RegisterImage, _broken
+from pliant.servo._handshake import RegisterImage, _broken, _calibration_notes, identify
 from pliant.servo._transactions import Reply
 from pliant.servo.models import Block
 
@@ -114,6 +114,40 @@ def test_broken_replies_of_all_servos_point_to_the_line(count, all_of_them, is_t
         [True] if is_the_line else [False] * count
     )
     assert all("Two servos on one id" in text for text in texts) is not is_the_line
+
+
+def test_a_noisy_line_is_reported_once():
+    asked = []
+
+    def read(number, *_, **__):
+        asked.append(number)
+        raise BusError("the line is never silent", "noisy")
+
+    devices = [
+        driver.Device(ServoSpec(name=f"joint{i}", model="MX-64", id=i, port=""), 0, i, 1)
+        for i in (1, 2)
+    ]
+    guard = SimpleNamespace(start_cycle=lambda: None, find_unused_id=lambda *_: None, read=read)
+    port = SimpleNamespace(path="port", devices=devices, guard=guard, highest=253)
+    with pytest.raises(ServoError, match=r"\Aport: the line is never silent\Z"):
+        identify(port)
+    assert asked == [1]
+
+
+@pytest.mark.parametrize(
+    ("model", "drive_mode", "number", "has_note"),
+    [
+        ("STS3215-7.4V", 1, 1, True),
+        ("STS3215-7.4V", 0, 1, False),
+        ("STS3215-7.4V", 1, 2, False),  # the file is that of the first servo
+        ("XM430-W350", 1, 1, False),  # the register holds the direction
+    ],
+)
+def test_an_inverted_joint_of_a_calibration_file_is_noted(model, drive_mode, number, has_note):
+    spec = ServoSpec(name="pan", model=model, id=1, port="", secondary=(2, 1))
+    object.__setattr__(spec, "calibration", SimpleNamespace(drive_mode=drive_mode))
+    notes = _calibration_notes(driver.Device(spec, 0, number, 1))
+    assert ["drive_mode 1" in note for note in notes] == [True] * has_note
 
 
 def test_a_port_that_is_not_there():
