@@ -328,3 +328,24 @@ def test_eeprom_of_another_model_or_with_torque_is_not_touched(fake_bus):
         with pytest.raises(ServoError, match=r"torque of .* is on"):
             call()
     assert not any(call[0] in {"write", "sync_write"} for call in bus.calls)
+
+
+@pytest.mark.parametrize("is_taken", [True, False])
+def test_eeprom_is_locked_again_after_changes(fake_bus, is_taken):
+    bus, family = fake_bus([1]), get_model("STS3215-7.4V").family
+    guard, lock = guarded(bus), family.registers["lock"].address
+    address = family.registers["mode"].address
+    change = RegisterChange("pan", 1, "mode", 1, 0, "why")
+    bus.memory[1][address], write = 1, bus.write
+
+    def watched(number, first, data):
+        assert first == lock or bus.memory[1][lock] == 0
+        return write(number, first, data) if is_taken or first == lock else 0
+
+    bus.write = watched
+    if is_taken:
+        write_changes(guard, family, [change])
+    else:
+        with pytest.raises(ServoError, match="mode reads 1 after 0 was written"):
+            write_changes(guard, family, [change])
+    assert bus.memory[1][lock] == 1
