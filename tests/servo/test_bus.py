@@ -361,7 +361,7 @@ def test_a_reading_and_the_first_ones_of_a_closed_copy_take_a_limited_time(
         budgets.append((budget, guard.counters.transactions))
         start_cycle(guard, budget)
 
-    with emulated("sts", 2, clock="steps") as (_, servo_bus):
+    with emulated("sts", 2, clock="steps") as (bus, servo_bus):
         enabled(servo_bus)
         copy = servo_bus.closed_copy()
         monkeypatch.setattr(TransactionGuard, "start_cycle", recorded)
@@ -371,8 +371,15 @@ def test_a_reading_and_the_first_ones_of_a_closed_copy_take_a_limited_time(
         servo_bus.close()
         copy.reopen()
         copy.close()
-    assert {budget for budget, _ in budgets} == {copy._budget}
-    assert budgets[0][1] == 0
+        assert {budget for budget, _ in budgets} == {copy._budget}
+        assert budgets[0][1] == 0
+        # After a request that failed, late replies are waited for.
+        budgets.clear()
+        monkeypatch.setattr("pliant.servo._enable.RESUME_TIME", 0.02)
+        bus.unplug(2)
+        copy.reopen()
+        copy.close()
+        assert [budget for budget, _ in budgets[:3]] == [copy._budget, math.inf, math.inf]
 
 
 def test_a_bus_that_is_not_open_raises():

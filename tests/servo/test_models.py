@@ -97,8 +97,8 @@ def test_two_independent_tables_agree(name):
         assert (register.address, register.size) == (twin.address, twin_size), field
         if field not in OTHER_SIGNS:
             assert register.sign == SIGNS[twin.sign], field
-    missing = {field for field, aliases in NAMES.items() if not table.keys().isdisjoint(aliases)}
-    assert missing - servo_model.family.registers.keys() <= NOT_USED
+    available = {name for name, aliases in NAMES.items() if not table.keys().isdisjoint(aliases)}
+    assert available - servo_model.family.registers.keys() <= NOT_USED
     gain = next(table[alias] for alias in NAMES["gain"] if alias in table)
     # The tables disagree about the factory gains of the XC models, which are read at open.
     assert servo_model.gain_default == gain.initial or name.startswith("XC")
