@@ -107,6 +107,9 @@ def test_two_independent_tables_agree(name):
     assert servo_model.model_number == emulated_model.number
     assert 2 * np.pi / servo_model.counts_per_turn == pytest.approx(emulated_model.count, rel=1e-3)
     assert servo_model.max_position == emulated_model.max_position
+    # The emulator has the data of EX and RX at their highest voltage.
+    highest = name.startswith(("EX", "RX"))
+    assert (servo_model.voltage[1] if highest else servo_model.rated) == emulated_model.motor.volts
     assert (
         servo_model.current_unit == pytest.approx(emulated_model.current_unit)
         or servo_model.limit_type == "pwm"
@@ -147,6 +150,8 @@ def test_every_row_gives_servos(name):
     assert servos.kp[0] > 0
     assert servos.friction[0] < 0.1 * servos.max_torque[0]
     assert servos.limit_type == get_model(name).limit_type
+    assert servos.encoder_step[0] == pytest.approx(2 * np.pi / get_model(name).counts_per_turn)
+    assert servos.armature[0] == pytest.approx(get_model(name).mechanics.armature)
 
 
 @pytest.mark.parametrize("name", ALL)
