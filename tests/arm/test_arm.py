@@ -7,6 +7,7 @@ from mismatch import Mismatch, Parameters
 
 import pliant
 from pliant.arm import Arm, GripperConfig
+from pliant.drive import ServoStatus
 from pliant.sim import Plant, SimDrive
 
 
@@ -172,8 +173,11 @@ def test_a_bus_that_is_gone_ends_the_descent_with_advice(make):
 def test_joints_that_do_not_answer_are_named_before_torque_goes_on(make):
     arm = make()
     arm.drive.silent = {"wrist_pitch"}
+    before = arm.clock.now()
     with pytest.raises(pliant.ServoTimeoutError, match="no answer from wrist_pitch"):
         arm.enable()
+    # Ten readings at 100 Hz.
+    assert arm.clock.now() - before == pytest.approx(0.1)
     assert arm.drive.diary == []
     assert not arm.enabled
 
@@ -240,6 +244,20 @@ def test_implausible_readings_are_not_used(make):
     arm.leave_enabled()
 
 
+def test_voltage_and_temperature_are_those_of_the_servo_that_reported_them(make):
+    arm = make()
+    arm.enable()
+    q, reports = arm.read().q, [(11.5, 41.0), (11.0, None), (None, 45.0)]
+    arm.drive.poll_status = lambda: ServoStatus("elbow_pitch", *reports.pop(0), ())
+    for voltage, temperature in ((11.5, 41.0), (11.0, 41.0), (11.0, 45.0)):
+        arm.write(q)
+        state = arm.read()
+        assert (state.voltage[3], state.temperature[3]) == (voltage, temperature)
+        assert np.isnan(np.delete([state.voltage, state.temperature], 3, axis=1)).all()
+    arm.drive.poll_status = lambda: None
+    arm.leave_enabled()
+
+
 def test_a_gripper_holds_on_while_the_arm_comes_down(make):
     arm = make(q=None, robot="so101", grippers={"gripper": GripperConfig(lever=0.05)})
     with arm:
@@ -261,6 +279,18 @@ def test_a_gripper_holds_on_while_the_arm_comes_down(make):
         assert arm.drive.diary[-1][2][5] == pytest.approx(0.05)
     orders = [(goal[5], limit[5]) for verb, goal, limit in arm.drive.diary if verb == "write"]
     assert set(orders[-20:-1]) == {(0.2, 0.05)}
+
+
+def test_limit_and_lever_of_a_gripper_are_checked():
+    assert GripperConfig(limit=0.0, lever=1e-3).limit == 0.0
+    for options, message in (
+        ({"limit": -0.1}, "limit must be at least 0"),
+        ({"limit": np.nan}, "limit must be at least 0"),
+        ({"lever": 0.0}, "lever must be above 0"),
+        ({"lever": np.nan}, "lever must be above 0"),
+    ):
+        with pytest.raises(pliant.ConfigError, match=message):
+            GripperConfig(**options)
 
 
 def test_arguments_of_an_arm_that_do_not_match_are_named(make):

@@ -7,6 +7,8 @@ import signal
 import sys
 import textwrap
 import time
+import traceback
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,7 +19,7 @@ pytest.importorskip("mujoco", reason="these programs drive a simulated arm: extr
 
 import pliant
 import pliant.arm.arm
-from pliant.arm._messages import LOGGER, MESSAGES, MessageQueue
+from pliant.arm._messages import LOGGER, MESSAGES, MessageQueue, _is_enabled
 from pliant.arm._shutdown import ExitMessages
 
 pytestmark = pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="signals of POSIX")
@@ -255,6 +257,26 @@ def test_an_interrupt_during_the_descent_is_raised_after_it():
     assert code in {130, -signal.SIGINT}
 
 
+@pytest.mark.parametrize(
+    ("module", "is_hidden"),
+    [
+        ("pliant", True),
+        ("pliant.loop", True),
+        ("pliant.arm._signals", True),
+        ("pliantly.loop", False),
+        ("program", False),
+    ],
+)
+def test_the_traceback_of_an_interrupt_ends_in_the_program(module, is_hidden):
+    scope = {"__name__": module}
+    exec("def wait(): raise KeyboardInterrupt", scope)
+    with pytest.raises(KeyboardInterrupt) as caught:
+        scope["wait"]()
+    pliant.arm.arm._end_at_the_caller(caught.value)
+    names = [frame.name for frame in traceback.extract_tb(caught.value.__traceback__)]
+    assert ("wait" in names) is not is_hidden
+
+
 def test_endings_are_logged_where_the_program_configures_logging():
     stdout, stderr, _ = run("""
         import logging
@@ -303,6 +325,24 @@ def test_silence_is_had_by_the_means_of_logging(silence, is_printed):
         assert not lines
 
 
+@pytest.mark.parametrize(
+    ("own", "package", "lowest"),
+    [
+        (logging.NOTSET, logging.NOTSET, logging.INFO),
+        (logging.NOTSET, logging.ERROR, logging.ERROR),
+        (logging.DEBUG, logging.ERROR, logging.DEBUG),
+        (logging.CRITICAL, logging.DEBUG, logging.CRITICAL),
+    ],
+)
+def test_levels_of_loggers_hold_without_a_handler(monkeypatch, own, package, lowest):
+    monkeypatch.setattr(LOGGER, "level", own)
+    monkeypatch.setattr(logging.getLogger("pliant"), "level", package)
+    levels = (logging.DEBUG, logging.INFO, logging.WARNING, logging.ERROR, logging.CRITICAL)
+    assert [level for level in levels if _is_enabled(level)] == [v for v in levels if v >= lowest]
+    monkeypatch.setattr(LOGGER, "disabled", True)
+    assert not any(map(_is_enabled, levels))
+
+
 def test_an_error_during_the_descent_leaves_torque_on(make, grasp, monkeypatch, caplog):
     def fail(*_, **__):
         raise ZeroDivisionError("a bug")
@@ -317,6 +357,36 @@ def test_an_error_during_the_descent_leaves_torque_on(make, grasp, monkeypatch, 
     assert np.abs(arm.drive.plant.read().q - grasp).max() < 0.1
     assert arm.drive.enabled.all()
     assert "was not lowered (ZeroDivisionError: a bug): torque is ON in" in caplog.text
+
+
+@pytest.mark.parametrize("has_signal", [False, True])
+def test_a_signal_during_the_descent_raises_the_level_of_its_message(make, monkeypatch, has_signal):
+    arm, levels = make(), {}
+    arm._signals = SimpleNamespace(has_pending=has_signal, stopped=False)
+    for name in ("install", "hold", "begin", "deliver", "restore"):
+        setattr(arm._signals, name, lambda *_: None)
+    monkeypatch.setattr(MESSAGES, "post", lambda text, level, **_: levels.update({text: level}))
+    with arm:
+        pass
+    (level,) = (level for text, level in levels.items() if "was lowered: torque OFF" in text)
+    assert level == (logging.WARNING if has_signal else logging.DEBUG)
+
+
+@pytest.mark.parametrize("direction", ["lower", "higher"])
+def test_messages_tell_how_far_the_tool_has_moved(make, direction):
+    hanging, raised = np.zeros(7), np.array([-3.0, *np.zeros(6)])
+    poses = [raised, hanging] if direction == "lower" else [hanging, raised]
+    arm = make(q=poses[0])
+    arm.open()
+    arm._io.sample()
+    messages, before = ExitMessages("arm", arm._io, None), arm.drive.plant.tool[2, 3]
+    messages.progress(None)
+    arm.drive.plant.reset(poses[1])
+    arm._io.positions.reset()
+    arm._io.sample()
+    moved = abs(arm.drive.plant.tool[2, 3] - before)
+    assert moved > 1.0
+    assert f"tool {100 * moved:.0f} cm {direction}" in messages.lowered()
 
 
 def test_progress_never_disturbs_a_descent(make, monkeypatch):

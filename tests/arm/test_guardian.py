@@ -8,6 +8,7 @@ import sys
 import textwrap
 import time
 from contextlib import ExitStack
+from types import SimpleNamespace
 
 import numpy as np
 import programs
@@ -23,7 +24,7 @@ import pliant
 from experiments import guardian
 from experiments.guardian import Case, is_running
 from pliant.arm import _guardian_process
-from pliant.arm._guardian import is_available
+from pliant.arm._guardian import Guardian, _running, is_available
 from pliant.arm._messages import MESSAGES
 from pliant.config.factory import make_emulator
 from pliant.emulator import emulate
@@ -241,6 +242,65 @@ def test_a_guardian_that_was_killed_is_reported_and_changes_nothing(bus, begin):
     assert not bus.call("recorder.has_torque")
 
 
+def test_a_process_that_does_not_exist_is_not_stopped():
+    assert not _guardian_process._is_stopped(2**22 + 1)  # above the largest process id of Linux
+    assert not _guardian_process._is_stopped(os.getpid())
+
+
+@pytest.mark.parametrize("has_ended", [False, True])
+def test_an_arm_at_rest_is_watched_no_longer(has_ended, monkeypatch):
+    guardian, sent, messages = object.__new__(Guardian), [], []
+    monkeypatch.setattr(MESSAGES, "post", lambda text, _: messages.append(text))
+    guardian._drive = object()
+    guardian._process = SimpleNamespace(poll=lambda: -9 if has_ended else None)
+    guardian._line = SimpleNamespace(send=sent.append)
+    for _ in range(2):
+        guardian.rest()
+    assert sent == [None]
+    assert len(messages) == has_ended
+
+
+@pytest.mark.parametrize(
+    ("watches", "hand_over", "expected"),
+    [
+        (True, True, ["close"]),
+        (True, False, ["send", "close", "kill", "wait"]),
+        (False, True, ["close", "kill", "wait"]),
+    ],
+)
+def test_a_guardian_is_ended_unless_the_arm_is_handed_over_to_it(watches, hand_over, expected):
+    class Recorded(Guardian):
+        def __init__(self):
+            calls = [
+                (name, lambda *_, name=name: self.calls.append(name))
+                for name in ("send", "close", "kill", "wait")
+            ]
+            self.calls, self._drive = [], object() if watches else None
+            self._line = SimpleNamespace(**dict(calls[:2]))
+            self._process = SimpleNamespace(poll=lambda: None, **dict(calls[2:]))
+            _running.add(self)
+
+    guardian = Recorded()
+    assert guardian.is_ours
+    guardian.close(hand_over=hand_over)
+    assert guardian.calls == expected
+    assert not guardian.is_ours
+
+
+def test_a_forked_child_leaves_guardian_and_ports_to_its_parent():
+    guardian, calls = object.__new__(Guardian), []
+    guardian._supervisor = SimpleNamespace(heartbeat="shared")
+    guardian._drive = SimpleNamespace(drop_ports=lambda: calls.append("drop"))
+    guardian._line = SimpleNamespace(
+        close=lambda: calls.append("close"), send=lambda _: calls.append("send")
+    )
+    guardian.leave()
+    assert sorted(calls) == ["close", "drop"]
+    assert guardian._supervisor.heartbeat.tolist() == [0.0, 0.0]
+    guardian.rest()
+    assert "send" not in calls
+
+
 def test_the_guardian_lowers_the_arm_after_a_descent_that_failed(bus, begin):
     program, pid = begin("""
         import pliant.arm.arm
@@ -256,9 +316,14 @@ def test_the_guardian_lowers_the_arm_after_a_descent_that_failed(bus, begin):
             time.sleep(300.0)
     """)
     assert program.stdout.readline() == "failed\n"
+    # Ctrl-C and the end of the terminal do not reach the guardian.
+    assert os.getsid(pid) == pid != os.getsid(program.pid)
     assert wait_for(pid)
     assert is_running(program.pid)
     assert not bus.call("recorder.has_torque")
+    program.kill()
+    _, stderr = program.communicate()
+    assert "was lowered: torque OFF" in stderr
 
 
 @full
@@ -371,6 +436,7 @@ def test_registers_and_zeros_are_those_of_the_ended_program_on_two_ports(monkeyp
         assert np.flatnonzero(np.isnan(goals)).tolist() == [2]
         assert copy.enabled.all()
         assert np.flatnonzero(copy.torque_unknown).tolist() == [2]
+        assert [device.enabled for device in copy._devices] == [True, True, False, True, True]
         others = [0, 1, 3, 4]
         positions = [emulated.servo(joint + 1).get("goal_position") for joint in others]
         goal_registers = copy._codec.encode(others, np.nan_to_num(goals), [0.5] * 5, None, 0.0)[0]

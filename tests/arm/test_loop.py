@@ -236,6 +236,11 @@ def test_a_controllers_goals_may_lead_beyond_the_limits(make):
             assert np.all(arm.drive.diary[-1][1] <= upper + np.maximum(gravity, 0.0) + 1e-9)
             arm.write(goal, np.ones(arm.model.n), lead=True)
             assert arm.drive.diary[-1][1] == pytest.approx(goal)
+            # Numbers that only NumPy converts.
+            arm.write([np.array(q) for q in goal.tolist()], np.ones(arm.model.n), lead=True)
+            assert arm.drive.diary[-1][1] == pytest.approx(goal)
+            arm.write(goal.astype(object), np.ones(arm.model.n), lead=True)
+            assert arm.drive.diary[-1][1] == pytest.approx(goal)
             tick.skip()
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import pliant
+from pliant.arm._checks import check_same_robot
 
 
 def write_for(arm, limit, seconds=0.5):
@@ -131,6 +132,58 @@ def test_a_controller_of_another_robot_is_refused(make, make_controller):
         controller = make_controller(model, *settings)
         with pytest.raises(pliant.ConfigError, match=message):
             pliant.Loop(arm, controller)
+
+
+AXIS = np.array([0.0, 0.6, 0.8])
+
+
+def turned(angle):
+    """Return a rotation about x [rad] as a homogeneous matrix."""
+    matrix = np.eye(4)
+    matrix[1:3, 1:3] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+    return matrix
+
+
+def shifted(distance):
+    matrix = np.eye(4)
+    matrix[1, 3] = distance
+    return matrix
+
+
+@pytest.mark.parametrize(
+    ("change", "is_same"),
+    [
+        ({}, True),
+        ({"kind": "prismatic"}, False),
+        ({"axis": turned(0.04)[:3, :3] @ AXIS}, True),
+        ({"axis": turned(0.08)[:3, :3] @ AXIS}, False),
+        ({"axis": -AXIS}, False),
+        ({"matrix": turned(-0.04)}, True),
+        ({"matrix": turned(-0.06)}, False),
+        ({"matrix": shifted(-0.004)}, True),
+        ({"matrix": shifted(-0.006)}, False),
+    ],
+)
+def test_a_joint_with_another_place_axis_or_type_is_another_joint(change, is_same):
+    plain = {"kind": "revolute", "axis": AXIS, "matrix": np.eye(4)}
+
+    def robot(**lift):
+        joints = [
+            SimpleNamespace(
+                name=name,
+                kind=values["kind"],
+                axis=values["axis"],
+                origin=SimpleNamespace(matrix=values["matrix"]),
+            )
+            for name, values in (("pan", plain), ("lift", {**plain, **lift}))
+        ]
+        return SimpleNamespace(name="robot", joints=joints, joint_names=("pan", "lift"))
+
+    if is_same:
+        check_same_robot(robot(**change), robot())
+        return
+    with pytest.raises(pliant.ConfigError, match="joint lift has another place, axis or type"):
+        check_same_robot(robot(**change), robot())
 
 
 def test_a_controller_with_another_tip_mass_or_range_is_accepted(make):

@@ -300,7 +300,8 @@ class World:
     def needs_guardian(self):
         """Return True if only a guardian could lower the arm: after SIGKILL or a long bus fault."""
         kinds = {kind for kind, _ in self.scheduler.plan.actions.values()}
-        is_reported = any("was not lowered" in text for text in self.messages.texts)
+        reports = ("was not lowered", "torque off failed")
+        is_reported = any(report in text for text in self.messages.texts for report in reports)
         return "kill" in kinds or ("call" in kinds and is_reported)
 
     def run(self, plan):

@@ -1,8 +1,10 @@
-"""Signals and interpreter exit on the simulator; each test runs a separate process."""
+"""Signals and interpreter exit on the simulator, in separate processes; signal handlers alone."""
 
+import os
 import signal
 import textwrap
 import threading
+from types import SimpleNamespace
 
 import programs
 import pytest
@@ -10,6 +12,8 @@ import pytest
 pytest.importorskip("mujoco", reason="these programs drive a simulated arm: extra sim")
 
 import pliant
+from pliant.arm import _signals
+from pliant.arm._signals import Signals
 
 # A test run in the background ignores Ctrl-C, and its children would inherit that.
 BEGIN = """
@@ -73,6 +77,7 @@ def test_the_end_of_the_program_lowers():
         arm.enable()
     """)
     assert result.stdout.split() == ["False", "False", "True"], result.stderr
+    assert "is being lowered (the program ends)" in result.stderr
     assert result.returncode == 0
 
 
@@ -90,3 +95,135 @@ def test_other_threads_are_warned_that_signals_do_nothing():
     thread.start()
     thread.join()
     assert messages == [True]
+
+
+class Presses:
+    """A registry of signals with two arms, the first of which is being lowered."""
+
+    def __init__(self, monkeypatch, *, leaving=True, is_written=True):
+        self.now, self.posted, self.aborted = 0.0, [], []
+        self.registry = _signals.Registry()
+        self.registry._process = os.getpid()
+        self.arms = [Signals(lambda k=k: self.aborted.append(k)) for k in range(2)]
+        self.arms[0].leaving = leaving
+        self.registry.arms += self.arms
+        monkeypatch.setattr(_signals, "time", SimpleNamespace(monotonic=lambda: self.now))
+        self.message = SimpleNamespace(is_written=is_written)
+        monkeypatch.setattr(_signals, "MESSAGES", self)
+
+    def post(self, text, level):
+        self.posted.append(text)
+        return self.message
+
+    def press(self, *times, number=signal.SIGINT):
+        """Send a signal at these times [s]; return the exceptions."""
+        raised = []
+        for self.now in times:
+            try:
+                self.registry._catch(number, None)
+            except BaseException as error:
+                raised.append(error)
+        return raised
+
+
+@pytest.mark.parametrize(
+    ("times", "is_written", "is_aborted", "is_ended"),
+    [
+        ((10.0,), True, False, False),
+        ((10.0, 10.5, 11.0), True, False, False),  # a key that is held down
+        ((10.0, 10.8), True, True, False),
+        ((10.0, 10.8), False, False, False),  # the user has not been told how to abort
+        ((10.0, 10.8, 11.7), True, True, False),  # the bus may still answer
+        ((10.0, 10.8, 11.9), True, True, True),
+        ((10.0, 10.8, 11.3, 11.9), True, True, False),
+        ((10.0, 10.8, 11.3, 12.1), True, True, True),
+    ],
+)
+def test_ctrl_c_during_a_descent(monkeypatch, times, is_written, is_aborted, is_ended):
+    presses = Presses(monkeypatch, is_written=is_written)
+    raised = presses.press(*times)
+    assert [error.code for error in raised] == [128 + signal.SIGINT] * is_ended
+    assert presses.aborted == [0] * is_aborted
+    assert [arm.stopped for arm in presses.arms] == [is_aborted, False]
+    assert len(presses.posted) == 1
+    assert presses.registry.pending == signal.SIGINT
+
+
+def test_a_signal_other_than_ctrl_c_stays_pending(monkeypatch):
+    presses = Presses(monkeypatch)
+    for number, pending, messages in (
+        (signal.SIGINT, signal.SIGINT, 1),
+        (signal.SIGTERM, signal.SIGTERM, 2),
+        (signal.SIGHUP, signal.SIGTERM, 2),
+    ):
+        assert presses.press(presses.now + 2.0, number=number) == []
+        assert presses.registry.pending == pending
+        assert len(presses.posted) == messages
+    assert not presses.aborted
+
+
+@pytest.mark.parametrize("cause", [KeyboardInterrupt, SystemExit])
+def test_a_descent_that_ctrl_c_caused_has_announced_the_next_one(monkeypatch, cause):
+    presses, announcement = Presses(monkeypatch, leaving=False), SimpleNamespace(is_written=True)
+    try:
+        raise cause
+    except cause:
+        presses.registry.begin(presses.arms[0], announcement)
+    assert presses.arms[0].leaving
+    assert presses.press(10.0) == []
+    assert presses.aborted == [0] * (cause is KeyboardInterrupt)
+    assert len(presses.posted) == (cause is SystemExit)
+
+
+@pytest.mark.parametrize(
+    ("pending", "active", "stopped", "expected"),
+    [
+        (None, None, False, None),
+        (None, KeyboardInterrupt(), False, None),
+        (signal.SIGINT, None, False, "interrupt"),
+        (signal.SIGTERM, None, False, 128 + signal.SIGTERM),
+        # The stronger signal ends the program.
+        (signal.SIGINT, SystemExit(128 + signal.SIGTERM), False, None),
+        (signal.SIGTERM, KeyboardInterrupt(), False, 128 + signal.SIGTERM),
+        (None, None, True, 128 + signal.SIGINT),
+        (signal.SIGTERM, KeyboardInterrupt(), True, 128 + signal.SIGTERM),
+    ],
+)
+def test_a_pending_signal_is_raised_after_the_last_descent(
+    monkeypatch, pending, active, stopped, expected
+):
+    presses = Presses(monkeypatch, leaving=False)
+    registry, (arm, other) = presses.registry, presses.arms
+
+    def deliver():
+        registry.pending, arm.stopped = pending, stopped
+        try:
+            if active is not None:
+                raise active
+            registry.deliver(arm)
+        except BaseException:
+            if active is None:
+                raise
+            registry.deliver(arm)
+
+    if expected is None:
+        deliver()
+    else:
+        with pytest.raises((KeyboardInterrupt, SystemExit)) as caught:
+            deliver()
+        code = getattr(caught.value, "code", "interrupt")
+        assert code == expected
+    assert (registry.pending, arm.stopped) == (None, False)
+    other.leaving = True
+    deliver()
+    assert (registry.pending, arm.stopped) == (pending, stopped)
+
+
+def test_signals_without_a_descent_are_raised_once(monkeypatch):
+    presses = Presses(monkeypatch, leaving=False)
+    (error,) = presses.press(10.0, 10.5, 11.0)
+    assert isinstance(error, KeyboardInterrupt)
+    (error,) = presses.press(11.2, number=signal.SIGTERM)
+    assert error.code == 128 + signal.SIGTERM
+    assert len(presses.press(13.0, 14.0, number=signal.SIGTERM)) == 2
+    assert not presses.posted

@@ -43,6 +43,23 @@ def test_silence_is_detected_once_and_raised_at_the_next_call():
     assert calls[0] <= 1e-4 < interval == sys.getswitchinterval()
 
 
+@pytest.mark.parametrize("ending", ["access", "dismissal"])
+def test_an_access_that_takes_longer_than_the_timeout_is_no_stall(ending):
+    calls = []
+    supervisor = Supervisor(lambda: calls.append(ending))
+    with supervisor.supervised(0.8) as check:
+        with supervisor:
+            time.sleep(0.9)  # the thread waits for the lock meanwhile
+            if ending == "dismissal":
+                supervisor.end_supervision()
+        check()
+        # The thread has had the lock since then.
+        time.sleep(0.05)
+        with supervisor:
+            assert not calls
+    assert supervisor.reason is None
+
+
 def test_two_arms_that_stall_at_once_restore_the_switch_interval():
     interval, intervals = sys.getswitchinterval(), []
     begun, ends = [threading.Event(), threading.Event()], [threading.Event(), threading.Event()]

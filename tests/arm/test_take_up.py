@@ -7,7 +7,9 @@ import pytest
 from bare_arm import bare_arm
 
 import pliant
-from pliant.arm._startup import stiffness_mismatch
+from pliant.arm._shutdown import UNKNOWN_TIME, _wait_for_silent
+from pliant.arm._startup import initial_commands, stiffness_mismatch
+from pliant.arm._transfer import MIN_BALANCE, RISE, SINK, _DisturbanceObserver, _WeightTransfer
 
 START = [0.0, -0.3, 0.3, 0.9, 0.0]  # [rad]
 
@@ -67,6 +69,177 @@ def test_a_short_silence_only_delays():
     assert hidden.highest - hidden.start < 0.005  # [m]
     assert hidden.fastest < 0.1  # [m/s]
     hidden.arm.disable_torque()
+
+
+def test_joints_that_have_torque_keep_goals_that_their_limits_can_hold():
+    """The goals of joints 0 to 2 are known, that of joint 3 is not; joint 4 has no torque."""
+    arm = bare_arm("so101")
+    kp, usable = np.asarray(arm.servos.kp), np.asarray(arm.servos.max_torque)
+    weight, on = np.array([0.1, -0.2, 0.3, 3.0, 0.4]), np.array([True, True, True, True, False])
+    q, goals = np.full(5, 0.2), np.array([0.25, 3.0, -3.0, np.nan, 0.5])
+    limits = np.array([0.5, 0.4, 9.0, np.nan, 0.1])
+    io = SimpleNamespace(
+        servos=arm.servos,
+        q=q,
+        gravity=lambda: weight,
+        stored_commands=lambda: (goals, limits),
+    )
+    goal, limit, lead, carried = initial_commands(io, on)
+    assert carried.tolist() == [True, True, True, False, False]
+    # A goal beyond twice the limit over k_p would not push harder.
+    assert goal[:3] == pytest.approx(
+        [0.25, 0.2 + 2 * limits[1] / kp[1], 0.2 - 2 * usable[2] / kp[2]]
+    )
+    assert limit[:3] == pytest.approx([limits[0], limits[1], usable[2]])
+    assert goal[3:] == pytest.approx([0.2 + 0.1, 0.2])
+    assert lead == pytest.approx([0.0, 0.0, 0.0, 0.0, weight[4] / kp[4]])
+
+
+class Silent:
+    """An arm whose joint `elbow` answers after a time, in ticks of 10 ms; None: never."""
+
+    def __init__(self, answers=None):
+        self.ticks, self.answers, self.clock = 0, answers, self
+
+    def now(self):
+        return 0.01 * self.ticks
+
+    def wait_until(self, deadline):
+        assert deadline == pytest.approx(self.now() + 0.01)
+        self.ticks += 1
+
+    def sample(self):
+        if self.ticks % 2:
+            raise pliant.ServoError("a lost reply")
+
+    def resume_silent(self):
+        return self.ticks == self.answers
+
+    def unknown_joints(self):
+        return ["elbow"]
+
+
+def test_a_descent_waits_for_a_silent_joint_for_a_limited_time():
+    answering, aborted, silent = Silent(100), Silent(), Silent()
+    _wait_for_silent(answering, 100.0, lambda: False)
+    assert answering.ticks == 100
+    _wait_for_silent(aborted, 100.0, lambda: aborted.ticks >= 7)
+    assert aborted.ticks == 7
+    with pytest.raises(pliant.ServoFaultError, match=r"no answer from elbow.*torque stays"):
+        _wait_for_silent(silent, 100.0, lambda: False)
+    assert silent.now() == pytest.approx(UNKNOWN_TIME, abs=0.011)
+
+
+def test_a_stiffness_is_judged_by_leads_that_are_large_enough():
+    arm = bare_arm("so101")
+    kp, friction = arm.servos.kp[1], arm.servos.friction[1]
+    step = np.asarray(arm.servos.encoder_step)[1]
+
+    def is_warned(weight, lead):
+        weights, leads = np.zeros(5), np.zeros(5)
+        weights[1], leads[1] = weight, lead
+        io = SimpleNamespace(servos=arm.servos, model=arm.model, gravity=lambda: weights)
+        return stiffness_mismatch(io, leads) is not None
+
+    # Ratio of stiffness; friction; encoder step; share of the expected lead.
+    for accepted, warned in (
+        ((1.0, 1.0 / kp / 1.45), (1.0, 1.0 / kp / 1.55)),
+        ((1.0, 1.45 / kp), (1.0, 1.55 / kp)),
+        ((2.9 * friction, 9.0 * friction / kp), (3.1 * friction, 9.0 * friction / kp)),
+        ((0.8, 2.9 * step), (0.8, 3.1 * step)),
+        ((1.9, 0.019 * 1.9 / kp), (1.9, 0.021 * 1.9 / kp)),
+    ):
+        assert not is_warned(*accepted), accepted
+        assert is_warned(*warned), warned
+
+
+@pytest.mark.parametrize("dt", [0.004, 0.02])
+def test_errors_of_the_disturbance_observer_have_three_equal_poles(dt):
+    """The errors of displacement, speed and disturbance decay like those of the critical filter."""
+    pole, columns = 30.0, []
+    for error in np.eye(3):
+        observer = _DisturbanceObserver(0.0, np.zeros(1))
+        observer._squares = np.inf  # long after the start
+        observer.x, observer.v, observer.d = (np.array([value]) for value in error)
+        observer.update(dt, np.zeros(1), pole)
+        columns.append(np.concatenate([observer.x, observer.v, observer.d]))
+    expected = np.poly([np.exp(-pole * dt)] * 3)
+    assert np.poly(np.transpose(columns)) == pytest.approx(expected, abs=1e-9)
+
+
+def test_the_disturbance_observer_finds_a_load_from_rest_at_once():
+    """Readings without noise of a joint that falls from rest, with a brake after 20 ms."""
+    d, u = np.array([-4.0]), np.array([3.0])
+    observer = _DisturbanceObserver(0.0, np.zeros(1))
+    observer.send(0.02, u)
+    for k in range(1, 26):
+        time = 0.004 * k
+        braked = max(time - 0.02, 0.0)
+        observer.update(time, 0.5 * d * time**2 + 0.5 * u * braked**2, 30.0)
+    assert observer.d == pytest.approx(d, rel=0.05)
+    assert observer.v == pytest.approx(d * 0.1 + u * 0.08, rel=0.05)
+    x, v = observer.predict(0.15)
+    assert v == pytest.approx(observer.v + (observer.d + u) * 0.05)
+    assert x == pytest.approx(observer.x + observer.v * 0.05 + (observer.d + u) * 0.05**2 / 2)
+
+
+def test_the_balance_of_an_arm_at_rest_takes_its_shortest_time():
+    arm = bare_arm("so101", q=START)
+    arm.open()
+    io = arm._io
+    io.sample()
+    goal, limit, lead, taken = initial_commands(io, np.zeros(5, dtype=bool))
+    io.orders = {name: (0.0, 0.1) for name in arm.grippers}
+    io.start(goal, limit, lead)
+    before = io.clock.now()
+    transfer = _WeightTransfer(io, arm._points, io.q, taken, 100.0)
+    torque = transfer._balance()
+    assert MIN_BALANCE <= io.clock.now() - before < MIN_BALANCE + 0.02
+    assert torque == pytest.approx(io.gravity(), abs=np.asarray(arm.servos.friction).max())
+
+
+def test_the_balance_pushes_no_harder_than_for_the_largest_load():
+    arm = bare_arm("so101", q=START)
+    arm.open()
+    arm._io.sample()
+    q, model, friction = arm._io.q, arm.model, np.asarray(arm.servos.friction)
+    transfer = _WeightTransfer(arm._io, arm._points, q, np.zeros(5, dtype=bool), 100.0)
+    weight, h = np.asarray(model.gravity(q)), 1e-5
+    heights = [
+        [model.forward_kinematics(q + side * step)[2, 3] for side in (1.0, -1.0)]
+        for step in h * np.eye(5)
+    ]
+    load = 0.6 * 9.81 * np.subtract(*np.transpose(heights)) / (2.0 * h)  # of 0.6 kg [N·m]
+    beyond = 0.6 * np.abs(weight) + 2.0 * friction
+    low, high = transfer._bounds
+    usable = np.asarray(arm.servos.max_torque)
+    assert low == pytest.approx(np.maximum(weight + np.minimum(load, 0.0) - beyond, -usable))
+    assert high == pytest.approx(np.minimum(weight + np.maximum(load, 0.0) + beyond, usable))
+    assert (low > -usable).sum() == 4
+    for disturbance in (-1e6, 1e6):
+        transfer._observer.d[:] = disturbance
+        assert np.all((low <= transfer._control()) & (transfer._control() <= high))
+
+
+def test_an_arm_moves_if_its_tool_sinks_or_rises_by_more_than_encoder_steps():
+    arm = bare_arm("so101", q=START)
+    arm.open()
+    arm._io.sample()
+    q = arm._io.q
+    transfer = _WeightTransfer(arm._io, arm._points, q, np.zeros(5, dtype=bool), 100.0)
+    lever = np.asarray(arm.model.jacobian(q))[2]  # height of the tool per joint angle [m/rad]
+    direction = lever / (lever @ lever)
+    for step in (0.0, 0.02):
+        transfer._observer.step = np.full(5, step)
+        margin = 0.5 * step * np.abs(lever).max()
+        for height, moves in (
+            (-SINK - margin - 1e-4, True),
+            (-SINK - margin + 1e-4, False),
+            (RISE + margin - 1e-4, False),
+            (RISE + margin + 1e-4, True),
+        ):
+            transfer._x = height * direction
+            assert transfer._is_moving() is moves
 
 
 @pytest.mark.parametrize("ratios", [(-0.094, 1.0), (-0.094, 0.42), (1.0, 0.42)])

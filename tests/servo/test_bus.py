@@ -1,13 +1,25 @@
 """`ServoBus` over a pseudo-terminal: all families, torque on and off, units, order of writes."""
 
+import math
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from pliant import ConfigError, ServoError, ShapeError
+from pliant._core import ServoCodec
 from pliant.emulator import Device, Emulator, ManualClock
 from pliant.servo import ServoBus, ServoSpec
+from pliant.servo import _device as driver
+from pliant.servo._port import Port
+from pliant.servo._transactions import TransactionGuard
+from pliant.servo.bus import check_agreement
 
 KINDS = ["sts", "xm", "xl430", "ex", "rx", "mx"]
+#: Name of the emulator's register of the supply voltage, for each kind.
+VOLTAGE = dict.fromkeys(KINDS, "present_voltage") | dict.fromkeys(
+    ("xm", "xl430"), "present_input_voltage"
+)
 
 
 def settle(bus, servo_bus, goal, limit, seconds=1.0):
@@ -31,6 +43,15 @@ def test_goals_arrive_in_radians(emulated, enabled, kind):
         # Gear friction stops a servo short of its goal by no more than friction / k_p.
         assert sample.position == pytest.approx(goal, abs=0.06)
         assert sample.ok.all()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_supply_and_temperature_are_known_from_open_on(emulated, kind):
+    with emulated(kind, 2, clock="steps") as (bus, servo_bus):
+        status = servo_bus.poll_status()
+        assert status.name == "joint0"
+        assert status.voltage == pytest.approx(bus.servos[0].get(VOLTAGE[kind]) / 10.0)
+        assert status.temperature == bus.servos[0].get("present_temperature")
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -89,6 +110,13 @@ def test_no_goal_while_disabled(emulated, enabled, kind):
         servo_bus.read()
         assert {write.id for write in bus.log.writes()} == {2}
         assert servo_bus.enabled.tolist() == [False, True]
+
+
+def test_a_single_servo_without_torque_gets_no_goal(emulated):
+    with emulated("sts", 1, clock="steps") as (bus, servo_bus):
+        servo_bus.write([0.5], [1.0])
+        servo_bus.read()
+        assert bus.log.writes() == []
 
 
 @pytest.mark.parametrize("kind", ["sts", "xm"])
@@ -256,6 +284,102 @@ def test_a_patience_that_a_silent_bus_would_outlast_is_refused(patience):
     spec = ServoSpec(name="pan", model="MX-64", id=1, port="/dev/null")
     with pytest.raises(ConfigError, match=f"reply_timeout_min must .* 1 s, got {patience:g}"):
         ServoBus([spec], reply_timeout_min=patience)
+
+
+def test_two_servos_of_a_joint_disagree_only_about_angles_that_were_read():
+    spec = ServoSpec(name="lift", model="XM540-W270", id=1, port="p", secondary=(2, -1))
+    joint = [driver.Device(spec, 0, 1, 1), driver.Device(spec, 0, 2, -1)]
+    for q, second_q, is_wrong in (
+        (math.nan, math.nan, False),
+        (0.3, math.nan, False),
+        (0.3, 0.39, False),
+        (0.3, 0.41, True),
+        (0.3, 0.19, True),
+        (0.3, 0.21, False),
+    ):
+        for device, angle in zip(joint, (q, second_q), strict=True):
+            device._last_reading[0] = device.units.zero + device.units.sign * (
+                angle / device.units.count
+            )
+        check_agreement(joint)
+        assert ("secondaries" in joint[0].other_faults) is is_wrong
+        assert not joint[1].other_faults
+
+
+def test_a_port_and_its_requests_have_the_settings_of_the_bus(fake_bus):
+    spec = ServoSpec(name="pan", model="MX-64", id=253, port="p")
+    assert ServoBus([spec])._cycle == 0.01
+    device, opened = driver.Device(spec, 0, 253, 1), []
+    device.attach(ServoCodec(1, 1), 0)
+
+    def open_transport(*arguments):
+        opened.append(arguments)
+        return fake_bus([253])
+
+    port = Port(
+        "p",
+        [device],
+        baudrate=57_600,
+        cycle=0.02,
+        reply_timeout_min=0.07,
+        open_transport=open_transport,
+        clock=lambda: 42.0,
+    )
+    guard = port.guard
+    assert opened == [("p", 57_600, "p1")]
+    assert (guard._baudrate, guard._cycle, guard._reply_timeout_min) == (57_600, 0.02, 0.07)
+    assert (guard.unused_id, guard.latency, guard._sample_clock()) == (252, 0.001, 42.0)
+
+
+def test_every_port_is_dropped(monkeypatch):
+    dropped = []
+    monkeypatch.setattr("pliant.servo.bus.drop_port", dropped.append)
+    servo_bus = ServoBus([ServoSpec(name="pan", model="MX-64", id=1, port="p")])
+    servo_bus._ports = [SimpleNamespace(path=path) for path in ("p", "q")]
+    servo_bus.drop_ports()
+    assert dropped == ["p", "q"]
+
+
+def test_a_closed_copy_has_the_settings_of_its_bus():
+    spec = ServoSpec(name="pan", model="MX-64", id=1, port="p")
+    servo_bus = ServoBus(
+        [spec], baudrate={"p": 57_600}, rate=40.0, reply_timeout_min=0.04, speed=1.5
+    )
+    names = ("specs", "names", "_baudrate", "_cycle", "_reply_timeout_min", "_budget", "_speed")
+    copy = servo_bus.closed_copy()
+    assert [getattr(copy, name) for name in names] == [getattr(servo_bus, name) for name in names]
+    assert (copy._cycle, copy._reply_timeout_min, copy._speed) == (0.025, 0.04, 1.5)
+
+
+def test_a_reading_and_the_first_ones_of_a_closed_copy_take_a_limited_time(
+    emulated, enabled, monkeypatch
+):
+    """The servos still turn to the last goals of the program that has ended."""
+    budgets, start_cycle = [], TransactionGuard.start_cycle
+
+    def recorded(guard, budget=math.inf):
+        budgets.append((budget, guard.counters.transactions))
+        start_cycle(guard, budget)
+
+    with emulated("sts", 2, clock="steps") as (bus, servo_bus):
+        enabled(servo_bus)
+        copy = servo_bus.closed_copy()
+        monkeypatch.setattr(TransactionGuard, "start_cycle", recorded)
+        servo_bus.read()
+        assert [budget for budget, _ in budgets] == [servo_bus._budget]
+        budgets.clear()
+        servo_bus.close()
+        copy.reopen()
+        copy.close()
+        assert {budget for budget, _ in budgets} == {copy._budget}
+        assert budgets[0][1] == 0
+        # After a request that failed, late replies are waited for.
+        budgets.clear()
+        monkeypatch.setattr("pliant.servo._enable.RESUME_TIME", 0.02)
+        bus.unplug(2)
+        copy.reopen()
+        copy.close()
+        assert [budget for budget, _ in budgets[:3]] == [copy._budget, math.inf, math.inf]
 
 
 def test_a_bus_that_is_not_open_raises():

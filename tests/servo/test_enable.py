@@ -1,5 +1,7 @@
 """Torque on with one lost packet, registers that bound the torque, and their restoration."""
 
+import time
+
 import numpy as np
 import pytest
 
@@ -95,12 +97,33 @@ def test_torque_that_could_not_be_switched_off_again_is_reported(kind):
         assert "joint0 did not confirm torque_enable = 0" in str(error.value)
 
 
+@pytest.mark.parametrize("kind", ["sts", "xl430", "mx"])
+def test_a_failure_before_torque_comes_on_names_no_fall(emulated, enabled, kind):
+    with emulated(kind, 2, clock="steps") as (bus, servo_bus):
+        bus.stick(1, "goal_pwm" if kind == "xl430" else "torque_limit", 7)
+        with pytest.raises(ServoError, match=r"did not take the torque limit.*switched on\Z"):
+            enabled(servo_bus)
+        assert not servo_bus.enabled.any()
+        assert {write.data for write in bus.log.writes("torque_enable")} == {b"\0"}
+
+
+@pytest.mark.parametrize("had_torque", [False, True])
 @pytest.mark.parametrize("kind", ["sts", "xm"])
-def test_a_failure_while_torque_comes_on_says_that_the_arm_falls(kind, monkeypatch):
-    """The line fails once the first servo has torque, until torque is switched off again."""
+def test_a_failure_while_torque_comes_on_says_what_falls(kind, had_torque, monkeypatch):
+    """The line fails once a servo gets torque, until torque is switched off again.
+
+    One of two servos may have torque already, and keeps it.
+    """
     with Emulator(devices(kind, 2), clock="steps") as bus, servo_bus_on(bus, kind, 2) as servo_bus:
         goal, faults = servo_bus.read().position, bus.lines["main"].faults
-        faults.chance = lambda: "deaf" if any(servo.enabled for servo in bus.servos) else None
+        switched = bus.servos
+        if had_torque:
+            servo_bus.enable(goal, 0.5 * servo_bus.servos.max_torque)
+            servo_bus.disable(["joint0"])
+            bus.sync()
+            bus.log.clear()
+            switched = bus.servos[:1]
+        faults.chance = lambda: "deaf" if any(servo.enabled for servo in switched) else None
         switch_off = _enable._try_off
 
         def mended(device, ports):
@@ -108,12 +131,63 @@ def test_a_failure_while_torque_comes_on_says_that_the_arm_falls(kind, monkeypat
             return switch_off(device, ports)
 
         monkeypatch.setattr(_enable, "_try_off", mended)
-        with pytest.raises(ServoError, match=r"\ntorque is OFF again in all joints.*falls"):
+        where = "joint0" if had_torque else "all joints"
+        with pytest.raises(ServoError, match=rf"\ntorque is OFF again in {where}: .*falls"):
             servo_bus.enable(goal, 0.5 * servo_bus.servos.max_torque)
         bus.sync()
-        assert len(bus.log.writes("torque_enable")) >= 2
-        assert not any(servo.enabled for servo in bus.servos)
-        assert not (servo_bus.enabled | servo_bus.torque_unknown | servo_bus.unrestored).any()
+        assert len(bus.log.writes("torque_enable")) >= len(switched)
+        assert [servo.enabled for servo in bus.servos] == [False, had_torque]
+        assert servo_bus.enabled.tolist() == [False, had_torque]
+        assert not (servo_bus.torque_unknown | servo_bus.unrestored).any()
+
+
+def test_a_register_that_does_not_take_its_value_is_named(emulated, enabled):
+    with emulated("sts", 1, clock="steps") as (bus, servo_bus):
+        bus.stick(1, "acceleration", 7)
+        message = r"joint0 did not take acceleration_cap: it reads 7, written was 0; nothing"
+        with pytest.raises(ServoError, match=message):
+            enabled(servo_bus)
+
+
+def test_registers_that_were_not_restored_after_a_failure_are_named(monkeypatch):
+    def fails(device, ports):
+        raise ServoError("no answer")
+
+    monkeypatch.setattr(_enable, "_restore_registers", fails)
+    with Emulator(devices("xm", 2), clock="steps") as bus, servo_bus_on(bus, "xm", 2) as servo_bus:
+        bus.stick(2, "torque_enable", 0)
+        with pytest.raises(ServoError, match=rf"\njoint0, joint1: {_enable.KEPT}\Z"):
+            servo_bus.enable(servo_bus.read().position, 0.5 * servo_bus.servos.max_torque)
+        assert servo_bus.unrestored.all()
+
+
+def test_a_silent_servo_delays_no_watchdog_of_the_others():
+    with Emulator(devices("xm", 3), clock="steps") as bus, servo_bus_on(bus, "xm", 3) as servo_bus:
+        servo_bus.read()
+        time.sleep(0.05)  # longer than the time for a cycle, of which this call gets a new one
+        bus.unplug(1)
+        before = servo_bus.counters
+        with pytest.raises(ServoError, match=r"\Ajoint0 did not confirm"):
+            servo_bus.watchdog(0.2)
+        assert servo_bus.counters["retries"] == before["retries"]
+        assert 1 <= servo_bus.counters["timeouts"] - before["timeouts"] <= 4
+        assert [servo.get("bus_watchdog") for servo in bus.servos[1:]] == [10, 10]
+        # A line without any reply is not tried again.
+        bus.short()
+        before = servo_bus.counters
+        with pytest.raises(ServoError, match=r"\Ajoint0, joint1, joint2 did not confirm"):
+            servo_bus.watchdog(0.1)
+        assert servo_bus.counters["timeouts"] - before["timeouts"] <= 3
+
+
+def test_a_watchdog_whose_packets_are_lost_is_set_again():
+    with Emulator(devices("xm", 2), clock="steps") as bus, servo_bus_on(bus, "xm", 2) as servo_bus:
+        servo_bus.read()
+        lost = [*["deaf"] * 2, *[None] * 2, *["deaf"] * 2]
+        bus.lines["main"].faults.chance = lambda: lost.pop(0) if lost else None
+        servo_bus.watchdog(0.2)
+        assert [servo.get("bus_watchdog") for servo in bus.servos] == [10, 10]
+        assert not lost
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -213,6 +287,17 @@ def test_limits_that_a_killed_program_left_are_not_handed_back(emulated, enabled
         servo_bus.disable()
         bus.sync()
         assert bus.servos[0].get(name) == full
+
+
+def test_a_limit_of_zero_after_an_overload_is_not_handed_back(emulated, enabled):
+    for found, restored in ((0, 1000), (1, 1), (700, 700)):
+        with emulated("sts", 1, clock="steps", is_open=False) as (bus, servo_bus):
+            bus.servos[0].put("torque_limit", found)
+            servo_bus.open()
+            enabled(servo_bus)
+            servo_bus.disable()
+            bus.sync()
+            assert bus.servos[0].get("torque_limit") == restored
 
 
 def test_lerobot_moves_an_arm_after_pliant_as_before(emulated, enabled):

@@ -1,11 +1,15 @@
 """Faults of bus and servos: stale data, missing readings, error messages, jumps of the goal."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from pliant import ServoError, ServoFaultError
 from pliant.emulator import Emulator, ManualClock
-from pliant.servo import BusError, ServoBus, ServoSpec
+from pliant.servo import BusError, ServoBus, ServoSpec, get_model
+from pliant.servo._device import Device
+from pliant.servo._port import Port, StatusPoller
 from tests.servo.conftest import devices
 
 PROTOCOLS = ["sts", "xm", "mx"]
@@ -408,6 +412,39 @@ def test_a_watchdog_that_trips_is_cleared_as_soon_as_it_is_seen(emulated, enable
         assert not servo_bus.refusing.any()
 
 
+def test_a_tripped_watchdog_is_cleared_before_torque_comes_on(emulated, enabled):
+    with emulated("xm", 2, clock="steps", is_open=False) as (bus, servo_bus):
+        bus.servos[1].put("bus_watchdog", -1)
+        servo_bus.open()
+        limit = enabled(servo_bus)
+        servo_bus.write([0.1, 0.1], limit)
+        servo_bus.read()
+        bus.sync()
+        assert [servo.get("bus_watchdog") for servo in bus.servos] == [0, 0]
+        assert all(servo.get("goal_position") > 2100 for servo in bus.servos)
+        # A watchdog that has not tripped is not touched.
+        assert {write.id for write in bus.log.writes("bus_watchdog")} == {2}
+
+
+def test_a_port_that_is_gone_delays_no_watchdog_of_another(enabled):
+    parts = [*devices("xm", 1), *devices("xm", 2, port="b")[1:]]
+    with Emulator(parts, clock="steps") as bus:
+        specs = [
+            ServoSpec(name=port, model="XM430-W350", id=i, port=bus.ports[port])
+            for i, port in enumerate(("main", "b"), 1)
+        ]
+        with ServoBus(specs, reply_timeout_min=0.1, clock=ManualClock(bus)) as servo_bus:
+            enabled(servo_bus)
+            servo_bus.watchdog(0.1)
+            bus.advance(0.3)
+            for device in servo_bus._devices:
+                device.tripped = True
+            bus.pull("main")
+            servo_bus.poll_status()
+            bus.sync()
+            assert bus.servo(2).get("bus_watchdog") == 5
+
+
 def test_disable_reaches_all_although_one_is_silent(emulated, enabled):
     with emulated("sts", 3, clock="steps") as (bus, servo_bus):
         enabled(servo_bus)
@@ -462,6 +499,115 @@ def test_positions_go_on_across_the_seam(emulated, enabled):
         bus.advance(0.5)
         servo_bus.read()
         assert servo_bus.read().position[0] == pytest.approx(sample.position[0], abs=0.01)
+        assert "encoder's range" not in str(polled(servo_bus))
+
+
+@pytest.mark.parametrize(
+    ("change", "is_cheap"),
+    [
+        ({}, True),
+        ({"_baudrate": 57_600}, False),
+        ({"_cycle": 0.001}, False),
+        ({"latency": 0.001}, True),
+        ({"latency": 0.002}, False),
+        ({"guard": SimpleNamespace(is_gone=False, response_delay=0.0005)}, False),
+        ({"guard": SimpleNamespace(is_gone=True, response_delay=0.0)}, False),
+        ({"model": "STS3215-7.4V"}, False),
+        ({"model": "MX-64"}, False),
+    ],
+)
+def test_the_torque_of_all_servos_is_read_only_if_it_takes_little_of_a_cycle(change, is_cheap):
+    guard = SimpleNamespace(is_gone=False, response_delay=0.0)
+    port = SimpleNamespace(_baudrate=1_000_000, _cycle=0.01, latency=None, guard=guard)
+    vars(port).update(change)
+    family = get_model(change.get("model", "XM430-W350")).family
+    port.devices = [SimpleNamespace(family=family)] * 5
+    assert Port.can_read_all(port) is is_cheap
+
+
+def test_a_register_is_wrong_after_three_packets_and_half_a_second():
+    """Each row: number of the write packet, value read, time [s]; counts of mismatches; fault."""
+    device = Device(ServoSpec(name="pan", model="STS3215-7.4V", id=1, port=""), 0, 1, 1)
+    device.enabled, written = True, 2000
+    assert not device.has_suspect_register
+    for packet, value, now, wrong, mismatches, is_fault in (
+        (1, 2000, 10.0, 0, 0, False),
+        (2, 1900, 10.1, 1, 1, False),
+        (2, 1900, 10.2, 1, 1, False),
+        (3, 1900, 10.3, 2, 2, False),
+        (4, 1900, 10.4, 3, 3, False),
+        (5, 1900, 10.6, 4, 4, True),
+        (6, 2000, 10.7, 0, 4, False),
+        (7, 1900, 11.3, 1, 5, False),
+    ):
+        device._last_sent = (written, 500, packet, b"")
+        device._compare("goal", value, written, now)
+        assert device._read_backs["goal"].wrong == wrong
+        assert device.mismatches == mismatches
+        assert device.has_mismatch is (wrong > 0)
+        assert device.has_suspect_register is (wrong > 0 and not is_fault)
+        assert ("goal" in device.other_faults) is is_fault
+
+
+@pytest.mark.parametrize(
+    ("volts", "temperatures", "expected"),
+    [
+        ([12.0, 11.5], [30.0, 40.0], (11.5, 40.0)),
+        ([11.5, 12.0], [40.0, 30.0], (11.5, 40.0)),
+        ([None, 12.0], [None, 30.0], (12.0, 30.0)),
+        ([None, None], [None, None], (None, None)),
+        ([12.0], [30.0], (12.0, 30.0)),
+    ],
+)
+def test_the_status_of_a_joint_is_that_of_its_worst_servo(volts, temperatures, expected):
+    family = SimpleNamespace(status="feetech", status_blocks=[])
+    joint = [
+        SimpleNamespace(
+            spec=SimpleNamespace(name="lift"),
+            family=family,
+            voltage=voltage,
+            temperature=temperature,
+            faults=(f"fault {number}",),
+        )
+        for number, (voltage, temperature) in enumerate(zip(volts, temperatures, strict=True))
+    ]
+    status = StatusPoller([joint])._status(0)
+    assert (status.name, status.voltage, status.temperature) == ("lift", *expected)
+    assert status.faults == tuple(f"fault {number}" for number in range(len(joint)))
+
+
+def test_every_register_that_may_be_wrong_is_read_again_in_turn():
+    family = SimpleNamespace(
+        status="feetech", status_blocks=["all"], stored_command_blocks=["limit", "goal"]
+    )
+    device = SimpleNamespace(
+        family=family, conditions=(), other_faults={}, has_mismatch=True, has_suspect_register=True
+    )
+    device.has_new_status = False
+    poller = StatusPoller([[device]])
+    blocks = [poller._choose()[1] for _ in range(8)]
+    assert blocks[::2] == ["goal", "limit", "goal", "limit"]
+    assert blocks[1::2] == ["all"] * 4
+
+
+def polled(servo_bus):
+    """Return the faults that ten readings of status registers report."""
+    return [getattr(servo_bus.poll_status(), "faults", ()) for _ in range(10)]
+
+
+def test_a_single_turn_servo_that_was_moved_across_the_seam_is_reported(emulated):
+    spec = {"zero": 4000.0, "lower": None, "upper": None}
+    with emulated("sts", 1, clock="steps", spec=spec, is_open=False) as (bus, servo_bus):
+        shaft, count, found = bus.servos[0].shaft, bus.servos[0].model.count, {}
+        shaft.angle = 3950 * count
+        servo_bus.open()
+        for position in (3950, 4050, 4150, 4050, 3950):
+            shaft.angle = position * count
+            bus.advance(0.2)
+            sample = servo_bus.read()
+            assert sample.position[0] == pytest.approx((position - 4000) * count, abs=1.5 * count)
+            found[position] = "past the end of its encoder's range" in str(polled(servo_bus))
+        assert found == {3950: False, 4050: False, 4150: True}
 
 
 def test_chance_faults_never_give_a_stale_sample(emulated, enabled):

@@ -1,9 +1,20 @@
 """`TransactionGuard` on a scripted bus: drain, one retry, no stale reply, bounded cycle time."""
 
+from dataclasses import asdict
+
 import pytest
 
-from pliant.servo import BusError
-from pliant.servo._transactions import TransactionGuard
+from pliant import ServoError
+from pliant.servo import BusError, get_model
+from pliant.servo._transactions import Counters, TransactionGuard
+from pliant.servo.eeprom import (
+    RegisterChange,
+    check_set_id,
+    plan_restore,
+    plan_setup,
+    set_id,
+    write_changes,
+)
 from pliant.servo.models import Block
 
 SHORT, LONG, LONGER = Block(56, 15), Block(55, 16), Block(54, 17)
@@ -31,6 +42,10 @@ def test_a_good_answer_costs_one_request(fake_bus):
     assert guard.counters.transactions == 1
 
 
+def test_counters_start_at_zero():
+    assert set(asdict(Counters()).values()) == {0}
+
+
 def test_a_lost_answer_is_drained_and_asked_for_again(fake_bus):
     bus = fake_bus([1])
     guard = guarded(bus)
@@ -42,6 +57,59 @@ def test_a_lost_answer_is_drained_and_asked_for_again(fake_bus):
     assert all(call[1] == 200 for call in bus.calls if call[0] == "ping")
     counters = guard.counters
     assert (counters.retries, counters.timeouts, counters.drains) == (1, 1, 1)
+
+
+@pytest.mark.parametrize(
+    ("name", "call"),
+    [
+        ("read", lambda guard: guard.read(1, SHORT)),
+        ("sync_read", lambda guard: guard.sync_read([1], SHORT)),
+        ("write", lambda guard: guard.write(1, 24, b"\1")),
+        ("sync_write", lambda guard: guard.sync_write([1], 30, [b"\0\0"])),
+        ("sync_encode", lambda guard: guard.sync_encode([1], [SHORT], None, [0], None)),
+        ("ping", lambda guard: guard.ping(1)),
+        ("reboot", lambda guard: guard.reboot(1)),
+    ],
+)
+def test_every_request_notices_a_port_that_is_gone(fake_bus, name, call):
+    bus = fake_bus([1])
+    guard, sent = guarded(bus), []
+
+    def lost(*_):
+        sent.append(name)
+        raise failure("gone")
+
+    setattr(bus, name, lost)
+    for _ in range(2):
+        with pytest.raises(BusError) as error:
+            call(guard)
+        assert error.value.reason == "gone"
+        assert guard.is_gone
+    assert sent == [name]
+    assert not bus.calls
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda guard: guard.read(2, SHORT),
+        lambda guard: guard.sync_read([2], SHORT),
+        lambda guard: guard.write(2, 24, b"\1"),
+        lambda guard: guard.ping(2),
+        lambda guard: guard.reboot(2),
+    ],
+)
+def test_every_request_with_a_reply_waits_for_a_silent_line(fake_bus, call):
+    bus = fake_bus([1, 2])
+    guard = guarded(bus)
+    bus.plan = [failure("timeout", 1)]
+    with pytest.raises(BusError):
+        guard.read(1, SHORT, again=False)
+    bus.late = 2
+    call(guard)
+    assert [c[:2] for c in bus.calls[1:4]] == [("ping", 200)] * 3
+    assert bus.calls[4][0] != "ping" or bus.calls[4][1] == 2
+    assert guard.counters.drains == 1
 
 
 def test_two_failures_are_reported(fake_bus):
@@ -231,3 +299,53 @@ def test_a_write_goes_out_although_the_line_is_not_silent(fake_bus):
         guard.read(1, SHORT)
     guard.sync_write([1], 42, [b"abcdefgh"])
     assert bus.memory[1][42:50] == b"abcdefgh"
+
+
+def test_eeprom_of_another_model_or_with_torque_is_not_touched(fake_bus):
+    bus, row = fake_bus([1, 2]), get_model("MX-64")
+    guard, change = guarded(bus), RegisterChange("pan", 1, "shutdown", 36, 4, "why")
+    calls = (
+        lambda: plan_setup(guard, "pan", 1, row),
+        lambda: plan_restore(guard, "pan", 1, row, [change]),
+        lambda: check_set_id(guard, "pan", row, 1, 3),
+        lambda: set_id(guard, "pan", row, 1, 3),
+    )
+    for call in calls:
+        with pytest.raises(ServoError, match="is model number 0, the configuration says MX-64"):
+            call()
+    assert plan_restore(guard, "pan", 2, row, [change]) == []
+    assert plan_restore(guard, "lift", 1, row, [change]) == []
+    bus.memory[1][0:2] = row.model_number.to_bytes(2, "little")
+    changed = {change.register for change in plan_setup(guard, "pan", 1, row)}
+    assert changed == {"return_level", "position_max"}
+    (restored,) = plan_restore(guard, "pan", 1, row, [change])
+    assert (restored.old, restored.new) == (0, 36)
+    check_set_id(guard, "pan", row, 1, 3)
+    with pytest.raises(ServoError, match="answers to id 2 already"):
+        check_set_id(guard, "pan", row, 1, 2)
+    bus.memory[1][row.family.registers["torque_enable"].address] = 1
+    for call in (*calls[2:], lambda: write_changes(guard, row.family, [change])):
+        with pytest.raises(ServoError, match=r"torque of .* is on"):
+            call()
+    assert not any(call[0] in {"write", "sync_write"} for call in bus.calls)
+
+
+@pytest.mark.parametrize("is_taken", [True, False])
+def test_eeprom_is_locked_again_after_changes(fake_bus, is_taken):
+    bus, family = fake_bus([1]), get_model("STS3215-7.4V").family
+    guard, lock = guarded(bus), family.registers["lock"].address
+    address = family.registers["mode"].address
+    change = RegisterChange("pan", 1, "mode", 1, 0, "why")
+    bus.memory[1][address], write = 1, bus.write
+
+    def watched(number, first, data):
+        assert first == lock or bus.memory[1][lock] == 0
+        return write(number, first, data) if is_taken or first == lock else 0
+
+    bus.write = watched
+    if is_taken:
+        write_changes(guard, family, [change])
+    else:
+        with pytest.raises(ServoError, match="mode reads 1 after 0 was written"):
+            write_changes(guard, family, [change])
+    assert bus.memory[1][lock] == 1

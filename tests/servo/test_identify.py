@@ -1,12 +1,17 @@
 """Errors when a servo bus is opened, with their remedies."""
 
 import time
+from types import SimpleNamespace
 
 import pytest
 
 from pliant import ServoError
 from pliant.emulator import Device, Emulator, Timing
-from pliant.servo import ServoBus, ServoSpec
+from pliant.servo import BusError, ServoBus, ServoSpec
+from pliant.servo import _device as driver
+from pliant.servo._handshake import RegisterImage, _broken, _calibration_notes, identify
+from pliant.servo._transactions import Reply
+from pliant.servo.models import Block
 
 
 def opened(bus, *specs, **options):
@@ -69,6 +74,15 @@ def test_a_wrong_supply_is_refused():
             opened(bus, PAN)
 
 
+def test_a_register_that_was_not_read_has_no_value():
+    device = driver.Device(ServoSpec(name="pan", model="MX-64", id=1, port=""), 0, 1, 1)
+    image = RegisterImage(device, Reply(Block(36, 2), b"\7\1", 0, 0.0))
+    assert image["position"] == 263
+    assert "goal" in image
+    with pytest.raises(KeyError, match="goal"):
+        _ = image["goal"]
+
+
 def test_a_range_across_the_seam_is_refused():
     text = complaint([Device("STS3215", id=1)], {**PAN, "zero": 100.0})
     assert "across the seam" in text
@@ -86,6 +100,54 @@ def test_two_servos_on_one_id():
     text = complaint(parts, PAN)
     assert "pan" in text
     assert "Two servos on one id" in text
+
+
+@pytest.mark.parametrize(
+    ("count", "all_of_them", "is_the_line"),
+    [(1, True, False), (2, True, True), (2, False, False), (3, True, True)],
+)
+def test_broken_replies_of_all_servos_point_to_the_line(count, all_of_them, is_the_line):
+    error = BusError("broken answer", "corrupt")
+    broken = [(SimpleNamespace(name=f"joint{i}"), error) for i in range(count)]
+    texts = _broken(SimpleNamespace(path="port"), broken, all_of_them=all_of_them)
+    assert ["every answer is broken" in text for text in texts] == (
+        [True] if is_the_line else [False] * count
+    )
+    assert all("Two servos on one id" in text for text in texts) is not is_the_line
+
+
+def test_a_noisy_line_is_reported_once():
+    asked = []
+
+    def read(number, *_, **__):
+        asked.append(number)
+        raise BusError("the line is never silent", "noisy")
+
+    devices = [
+        driver.Device(ServoSpec(name=f"joint{i}", model="MX-64", id=i, port=""), 0, i, 1)
+        for i in (1, 2)
+    ]
+    guard = SimpleNamespace(start_cycle=lambda: None, find_unused_id=lambda *_: None, read=read)
+    port = SimpleNamespace(path="port", devices=devices, guard=guard, highest=253)
+    with pytest.raises(ServoError, match=r"\Aport: the line is never silent\Z"):
+        identify(port)
+    assert asked == [1]
+
+
+@pytest.mark.parametrize(
+    ("model", "drive_mode", "number", "has_note"),
+    [
+        ("STS3215-7.4V", 1, 1, True),
+        ("STS3215-7.4V", 0, 1, False),
+        ("STS3215-7.4V", 1, 2, False),  # the file is that of the first servo
+        ("XM430-W350", 1, 1, False),  # the register holds the direction
+    ],
+)
+def test_an_inverted_joint_of_a_calibration_file_is_noted(model, drive_mode, number, has_note):
+    spec = ServoSpec(name="pan", model=model, id=1, port="", secondary=(2, 1))
+    object.__setattr__(spec, "calibration", SimpleNamespace(drive_mode=drive_mode))
+    notes = _calibration_notes(driver.Device(spec, 0, number, 1))
+    assert ["drive_mode 1" in note for note in notes] == [True] * has_note
 
 
 def test_a_port_that_is_not_there():
@@ -119,6 +181,17 @@ def test_notes_list_the_changes_of_setup():
     notes = " ".join(servo_bus.found[0].notes)
     assert "clear bit 5 of Shutdown" in notes
     assert "500 µs" in notes
+
+
+@pytest.mark.parametrize(
+    ("model", "options"), [("XM430-W350", {"operating_mode": 5}), ("MX-64", {}), ("STS3215", {})]
+)
+def test_a_servo_that_was_set_up_has_no_notes(model, options):
+    if model != "STS3215":
+        options = {**options, "shutdown": 0b10100, "return_delay_time": 0}
+    with Emulator([Device(model, id=1, **options)], clock="steps") as bus:
+        name = "STS3215-7.4V" if model == "STS3215" else model
+        assert opened(bus, {**PAN, "model": name}).found[0].notes == ()
 
 
 @pytest.mark.parametrize("model", ["STS3215", "XM430-W350", "MX-64"])

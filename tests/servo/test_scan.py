@@ -1,5 +1,7 @@
 """`scan` over slow, late or broken lines finds the existing ids and no others."""
 
+from types import SimpleNamespace
+
 import pytest
 
 pytest.importorskip("rustypot", reason="the tests of servo buses need the extra servo")
@@ -60,3 +62,30 @@ def test_a_line_that_is_never_silent_is_reported(kind, disturbance):
         getattr(bus, disturbance)()
         with pytest.raises(ServoError, match="never silent"):
             scan(bus.port, baudrates=(1_000_000,), ids=range(3))
+
+
+def test_a_scan_opens_closes_and_announces_every_rate_and_protocol(monkeypatch):
+    events = []
+
+    def transport(*arguments):
+        events.append(arguments)
+        return SimpleNamespace(close=lambda: events.append("closed"))
+
+    def scanner(io, port, baudrate, protocol, latency):
+        return SimpleNamespace(run=lambda ids: [(baudrate, protocol, ids)])
+
+    monkeypatch.setattr("pliant.servo.scan._IdScan", scanner)
+    rates = (57_600, 1_000_000)
+    options = {"transport": transport, "progress": events.append}
+    found = scan("port", baudrates=rates, ids=range(2), **options)
+    steps = [(rate, protocol) for rate in rates for protocol in ("p1", "p2")]
+    assert found == tuple((*step, (0, 1)) for step in steps)
+    assert events == [
+        event
+        for rate, protocol in steps
+        for event in (
+            f"port, {rate} bit/s, Protocol {protocol[1]}.0",
+            ("port", rate, protocol),
+            "closed",
+        )
+    ]

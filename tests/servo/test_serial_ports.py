@@ -1,10 +1,14 @@
-"""Serial ports of Windows, with a registry of the test's own."""
+"""Serial ports of Windows, with a registry of the test's own; ports dropped after a fork."""
 
 import contextlib
+import os
 import sys
 from types import SimpleNamespace
 
+import pytest
+
 from pliant.servo import serial_ports
+from pliant.servo.transport import drop_port
 
 
 def registry(values):
@@ -34,3 +38,16 @@ def test_a_machine_that_never_had_a_port(monkeypatch):
     monkeypatch.setattr(sys, "platform", "win32")
     monkeypatch.setitem(sys.modules, "winreg", registry(None))
     assert serial_ports() == ()
+
+
+@pytest.mark.pty
+def test_a_dropped_port_is_the_null_device_and_not_inherited():
+    ends = os.openpty()
+    before = set(os.listdir("/dev/fd"))
+    drop_port(os.ttyname(ends[1]))
+    assert os.fstat(ends[1]).st_rdev == os.stat(os.devnull).st_rdev
+    assert os.fstat(ends[0]).st_rdev != os.stat(os.devnull).st_rdev
+    assert not os.get_inheritable(ends[1])
+    assert set(os.listdir("/dev/fd")) == before
+    for end in ends:
+        os.close(end)

@@ -22,6 +22,15 @@ def test_protocol_1_tells_refusals_from_conditions():
     assert "pliant servos setup" in overload[0]
 
 
+def test_every_bit_of_protocol_1_is_a_refusal_or_a_condition():
+    refusals = {1: "outside its angle limits", 3: "out of range", 4: "checksum", 6: "instruction"}
+    for bit in range(7):
+        text = refusal(P1, 1 << bit)
+        assert (text is not None) is (bit in refusals)
+        assert refusals.get(bit, "") in (text or "")
+        assert bool(conditions(P1, 1 << bit)) is (bit not in refusals)
+
+
 def test_protocol_2_has_a_number_and_an_alert():
     assert "locked while torque is on" in refusal(X, 0x07)
     assert "above the servo's own limit" in refusal(X, 0x86)

@@ -321,3 +321,22 @@ def test_status_is_read_with_the_position_where_registers_are_near(
             bus.advance(0.01)
         # An MX servo (Protocol 1.0) switches torque on again with the next goal.
         assert ("torque went off by itself" in " ".join(faults)) == (kind != "mx")
+
+
+@pytest.mark.parametrize(
+    ("text", "id", "message", "reason", "blamed"),
+    [
+        ("Operation timed out", None, "p: no answer", "timeout", None),
+        ("Operation timed out", 3, "p, id 3: no answer", "timeout", 3),
+        ("motor 4: timeout", 3, "p, id 4: no answer", "timeout", 4),
+        ("motor 4: Invalid checksum", None, "p, id 4: broken answer (Inv", "corrupt", 4),
+        ("motor x: parsing", 3, "p, id 3: broken answer (parsing)", "corrupt", 3),
+        ("Input/output error", 3, "p is gone (Input/output error)", "gone", None),
+    ],
+)
+def test_errors_of_the_driver_name_port_and_servo(text, id, message, reason, blamed):
+    io = object.__new__(RustypotTransport)
+    io.port = "p"
+    error = io._failed(RuntimeError(text), id)
+    assert str(error).startswith(message)
+    assert (error.reason, error.id) == (reason, blamed)

@@ -1,6 +1,9 @@
 """`Units`: conversions in both directions, for all models, voltages, gears, signs and torques."""
 
 import math
+import random
+from dataclasses import replace
+from itertools import pairwise
 
 import pytest
 from hypothesis import given
@@ -8,6 +11,7 @@ from hypothesis import strategies as st
 
 from pliant import ConfigError
 from pliant.servo import ServoSpec, Units, get_model, list_models
+from pliant.servo.spec import at_voltage
 
 specs = st.builds(
     ServoSpec,
@@ -82,6 +86,11 @@ def test_a_gear_turns_slower_and_pushes_harder():
     assert geared.stiffness(32) == pytest.approx(4 * direct.stiffness(32))
 
 
+def test_the_smallest_compliance_slope_is_one_count():
+    servo = joint("RX-64")
+    assert servo.stiffness(0) == servo.stiffness(1) == pytest.approx(2 * servo.stiffness(2))
+
+
 def test_two_servos_share_the_torque():
     single, secondaries = joint("XM540-W270"), joint("XM540-W270", secondary=(2, -1))
     assert secondaries.usable(2047) == pytest.approx(2 * single.usable(2047))
@@ -94,6 +103,19 @@ def test_a_duty_follows_the_voltage_and_a_current_does_not():
         high = spec.row.rated
         at_high, at_low = Units.of(spec, high), Units.of(spec, 0.8 * high)
         assert at_low.torque_per_unit == pytest.approx(ratio * at_high.torque_per_unit, rel=0.02)
+
+
+@pytest.mark.parametrize("name", list_models())
+def test_a_table_holds_at_its_voltages_and_is_proportional_outside(name):
+    for table in (get_model(name).stall, get_model(name).no_load):
+        for voltage, value in table:
+            assert at_voltage(table, voltage) == pytest.approx(value)
+        for (low, at_low), (high, at_high) in pairwise(table):
+            middle = at_voltage(table, 0.5 * (low + high))
+            assert middle == pytest.approx(0.5 * (at_low + at_high))
+        (low, at_low), (high, at_high) = table[0], table[-1]
+        assert at_voltage(table, 0.5 * low) == pytest.approx(0.5 * at_low)
+        assert at_voltage(table, 2.0 * high) == pytest.approx(2.0 * at_high)
 
 
 def test_numbers_per_count_of_the_makers_data():
@@ -121,7 +143,12 @@ def test_stall_torque_can_be_the_users():
         ({"zero": math.nan}, "zero is a count"),
         ({"lower": 1.0, "upper": -1.0}, "lower must be below upper"),
         ({"secondary": (1, 1)}, "the secondary has the id"),
-        ({"stall": -1.0}, "stall must be above 0"),
+        ({"stall": 0.0}, "stall must be above 0"),
+        ({"no_load": 0.0}, "no_load must be above 0"),
+        ({"kp": 0.0}, "kp must be above 0"),
+        ({"friction": -0.1}, "friction is at least 0"),
+        ({"lower": 1.0, "upper": 1.0}, "lower must be below upper"),
+        ({"voltage": (12.0, 12.0)}, "voltage is lowest and highest"),
         ({"torque_offset": -1.0}, "torque_offset"),
         ({"model": "MX-65"}, "did you mean"),
     ],
@@ -129,6 +156,33 @@ def test_stall_torque_can_be_the_users():
 def test_errors_of_a_spec_name_the_cause(change, match):
     with pytest.raises(ConfigError, match=match):
         ServoSpec(**{"name": "j", "model": "MX-64", "id": 1, "port": "p", **change})
+
+
+@pytest.mark.parametrize(
+    "change", [{"no_load": 50.0}, {"voltage": (9.0, 13.0)}, {"model_number": 310}]
+)
+def test_a_spec_replaces_no_other_value_of_its_model(change):
+    row, plain = joint("MX-64", **change).row, get_model("MX-64")
+    (field,) = change
+    assert replace(row, **{field: getattr(plain, field)}) == plain
+    expected = ((plain.rated, 50.0),) if field == "no_load" else change[field]
+    assert getattr(row, field) == expected
+
+
+@pytest.mark.parametrize("name", ["STS3215-7.4V", "MX-64", "XM430-W350", "XL430-W250"])
+def test_a_block_holds_its_registers(name):
+    family, rng = get_model(name).family, random.Random(0)
+    for block in (*family.read, *family.write_blocks, *family.status_blocks) * 3:
+        layout, values = family.layout(block), {}
+        for register in layout.decode(bytes(block.size)):
+            size, sign = family.registers[register].size, family.registers[register].sign
+            bits = {"unsigned": 8 * size, "twos": 8 * size - 1}.get(sign) or int(sign[3:])
+            low, high = 0 if sign == "unsigned" else 1 - 2**bits, 2**bits - 1
+            values[register] = rng.choice([low, rng.randint(low, high), high])
+        data = layout.encode(values)
+        assert len(data) == block.size
+        assert layout.decode(data) == values
+        assert {name: family.decode(block, data, name) for name in values} == values
 
 
 def test_signs_of_registers():

@@ -135,8 +135,7 @@ def watch(program: Program, line: Connection) -> tuple[Arm, str] | None:
     arm: Arm | None = None
     is_open = True
     while True:
-        ready = wait([*([line] if is_open else []), *program.sentinels], PERIOD)
-        if line in ready:
+        if line in wait([line, *program.sentinels], PERIOD):
             try:
                 content = line.recv()
                 arm, answer = (None, None) if content is None else _build(content)

@@ -51,7 +51,7 @@ class Signals:
         stop: Function that aborts the arm's descent; a signal handler calls it.
 
     Attributes:
-        leaving: True while the arm is being lowered.
+        leaving: True from the start of a descent until the arm is registered again.
         stopped: True if a second Ctrl-C has aborted the descent.
     """
 
@@ -89,7 +89,6 @@ class Signals:
     def restore(self) -> None:
         """Unregister the arm; after the last arm, restore the former signal handlers."""
         _REGISTRY.remove(self)
-        self.leaving = False
 
     def hold(self) -> None:
         """Store signals until `deliver`: an exception could keep the arm from being lowered."""

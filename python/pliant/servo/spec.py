@@ -428,8 +428,8 @@ def servos_of(
     specs = [ServoSpec(name=f"joint {i}", model=m, id=i + 1, port="") for i, m in enumerate(models)]
     units = []
     for spec in specs:
-        low, high = spec.row.voltage
-        if volts is not None and not low <= volts <= high:
+        if volts is not None and not _accepts_voltage(spec.row, volts):
+            low, high = spec.row.voltage
             others = [
                 row.name for row in by_number(spec.row.model_number) if _accepts_voltage(row, volts)
             ]

@@ -312,8 +312,9 @@ class Mechanics:
 def estimated_mechanics(stall: float) -> Mechanics:
     """Return friction, damping and inertia of a servo, estimated from its stall torque [N·m].
 
-    `stall` is the stall torque at rated voltage. The ratios are those of the servos that were
-    identified (MX-64, MX-106, XL330, STS3215); they agree within a factor of two.
+    `stall` is the stall torque at rated voltage. The ratios are those of the Dynamixel servos that
+    were identified (MX-64, MX-106, XL330); they agree within a factor of 2.5. The STS3215 has up to
+    six times as much damping and five times as much inertia.
     """
     return Mechanics(friction=0.02 * stall, damping=0.005 * stall, armature=0.003 * stall)
 
