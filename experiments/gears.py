@@ -4,7 +4,8 @@ The gears of `arm7` and `so101` have the friction identified on real ones, which
 with the load. The controller knows it, but the true friction is 0.7, 1 and 1.3 times the assumed
 one. A hand drags the tool along a soft axis, and the arm opens a door. The program prints the
 largest force of the hand and at the handle for the present law and for each remedy, and the price
-of the remedy in an arm at rest: torque reversals, heat, and minutes without a limit cycle.
+of the remedy in an arm at rest: torque reversals, heat, and minutes without a limit cycle. With
+``--rest-only`` it measures only the arm at rest, and to the end of the time.
 
 The remedies are not in the package: each adds torques to the command of `pliant.Controller`.
 """
@@ -13,9 +14,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from itertools import product
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
+import tyro
 
 import pliant
 from experiments import controllers, metrics, program
@@ -338,6 +341,34 @@ def friction_ratio(case: Case) -> Array:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Rest:
+    """Result of an arm at rest on its target.
+
+    Attributes:
+        reversals: Reversals of the servo torque, mean over the joints [1/s].
+        heat: Mean squared servo torque over that of gravity alone [1].
+        quiet: Time before the tool leaves `STAYS` or a joint exceeds `STILL` [min].
+        minutes: Limit of the simulated time [min].
+        displacement: Displacement of the tool at the end [m].
+        largest_displacement: Largest displacement of the tool [m].
+        speed: Largest rms speed of the joints in a window [rad/s].
+    """
+
+    reversals: float
+    heat: float
+    quiet: float
+    minutes: float
+    displacement: float
+    largest_displacement: float
+    speed: float
+
+    @property
+    def is_quiet(self) -> bool:
+        """True if the arm stayed quiet to the end."""
+        return self.quiet >= self.minutes - 1e-9
+
+
+@dataclass(frozen=True, kw_only=True)
 class Result:
     """Result of a remedy in one case.
 
@@ -345,35 +376,21 @@ class Result:
         drag: Largest force of the hand, averaged over a control period [N].
         door: Largest force at the handle in any physics step [N].
         angle: Largest opening of the door [deg].
-        reversals: Reversals of the servo torque at rest, mean over the joints [1/s].
-        heat: Mean squared servo torque at rest over that of gravity alone [1].
-        quiet: Time at rest before the tool leaves `STAYS` or a joint exceeds `STILL` [min].
-        rested: Limit of the simulated time at rest [min].
+        rest: Result of the arm at rest, up to the first sign of a limit cycle.
     """
 
     drag: float
     door: float
     angle: float
-    reversals: float
-    heat: float
-    quiet: float
-    rested: float
+    rest: Rest
 
 
 def measure(case: Case, remedy: str, minutes: float) -> Result:
     """Return the result of a remedy in one case; `minutes` is the time at rest [min]."""
     force = drag(case, REMEDIES[remedy])
     handle, angle = open_door(case, REMEDIES[remedy])
-    reversals, heat, quiet, time_limit = rest(case, REMEDIES[remedy], minutes)
-    return Result(
-        drag=force,
-        door=handle,
-        angle=angle,
-        reversals=reversals,
-        heat=heat,
-        quiet=quiet,
-        rested=time_limit,
-    )
+    rested = rest(case, remedy, minutes, to_the_end=False)
+    return Result(drag=force, door=handle, angle=angle, rest=rested)
 
 
 def drag(case: Case, remedy: Remedy) -> float:
@@ -402,22 +419,22 @@ def open_door(case: Case, remedy: Remedy) -> tuple[float, float]:
     return door.peak_force, float(np.rad2deg(door.widest))
 
 
-def rest(case: Case, remedy: Remedy, minutes: float) -> tuple[float, float, float, float]:
-    """Hold the arm at rest on its target, until the first sign of a limit cycle or for `minutes`.
+def rest(case: Case, remedy: str, minutes: float, *, to_the_end: bool) -> Rest:
+    """Hold the arm at rest on its target for `minutes`.
 
-    Returns:
-        Reversals of the joint torques per joint and second [1/s]; mean squared torque relative to
-        that of gravity [1]; time until the tool moved [min]; and the time limit [min].
+    Without `to_the_end`, the first sign of a limit cycle ends the simulation.
     """
     bench, arm = BENCHES[case.arm], model(case.arm)
     plant = case.build()
-    law = RemedyController(controllers.cap(soft=str(bench.hand.axis)), case, remedy)
+    law = RemedyController(controllers.cap(soft=str(bench.hand.axis)), case, REMEDIES[remedy])
     plant.reset(bench.start)
     law.reset(bench.start)
     target = arm.forward_kinematics(bench.start)
     for _ in closed_loop(plant, law, target, SETTLE):
         pass
-    start, quiet = plant.tool[:3, 3], 0.0
+    start = plant.tool[:3, 3]
+    quiet: float | None = None
+    drift, farthest, fastest = 0.0, 0.0, 0.0
     torques: list[Array] = []
     speeds: list[float] = []
     seconds = max(60.0 * minutes, OBSERVED)
@@ -425,18 +442,28 @@ def rest(case: Case, remedy: Remedy, minutes: float) -> tuple[float, float, floa
         if len(torques) < OBSERVED / PERIOD:
             torques.append(plant.torque)
         speeds = [*speeds[1 - round(WINDOW / PERIOD) :], metrics.rms(plant.dq)]
-        quiet = time + PERIOD
         drift = float(np.linalg.norm(plant.tool[:3, 3] - start))
-        moves = len(speeds) * PERIOD >= WINDOW and metrics.rms(np.array(speeds)) > STILL
-        if drift > STAYS or moves:
-            break
+        farthest = max(farthest, drift)
+        if len(speeds) * PERIOD >= WINDOW:
+            fastest = max(fastest, metrics.rms(np.array(speeds)))
+        if quiet is None and (drift > STAYS or fastest > STILL):
+            quiet = time + PERIOD
+            if not to_the_end:
+                break
     samples = np.array(torques)
     band = REVERSAL * np.asarray(servos(case.arm).max_torque)
     count = np.mean(
         [_reversals(column, size) for column, size in zip(samples.T, band, strict=True)]
     )
-    heat = float(np.mean(np.sum(samples**2, axis=1)) / np.sum(arm.gravity(bench.start) ** 2))
-    return float(count) / (len(samples) * PERIOD), heat, quiet / 60.0, seconds / 60.0
+    return Rest(
+        reversals=float(count) / (len(samples) * PERIOD),
+        heat=float(np.mean(np.sum(samples**2, axis=1)) / np.sum(arm.gravity(bench.start) ** 2)),
+        quiet=(seconds if quiet is None else quiet) / 60.0,
+        minutes=seconds / 60.0,
+        displacement=drift,
+        largest_displacement=farthest,
+        speed=fastest,
+    )
 
 
 def _reversals(values: Array, band: float) -> int:
@@ -494,10 +521,25 @@ def bound(case: Case) -> Bound:
     )
 
 
+#: Columns of `prices`.
+PRICES = ("reversals [1/s]", "heat [1]", "quiet [min]")
+
+
+def prices(results: Sequence[Rest]) -> tuple[str, ...]:
+    """Return the cells of the worst reversals, heat and quiet time of arms at rest."""
+    shortest = min(results, key=lambda result: result.quiet)
+    return (
+        f"{max(result.reversals for result in results):.0f}",
+        f"{max(result.heat for result in results):.2f}",
+        f"{'≥ ' if shortest.is_quiet else ''}{shortest.quiet:.2g}",
+    )
+
+
 def text(rows: Mapping[Row, Sequence[Result]]) -> str:
     """Return a Markdown table with one line per remedy, arm and delay.
 
-    A cell with several numbers has one for each of `FACTORS`; prices at rest are the worst of them.
+    A cell with several numbers has one for each ratio of true to assumed friction; prices at rest
+    are the worst of them.
     """
     columns = ("remedy", "arm", "ticks each way", "drag [N]", "door [N]", "opening [deg]")
     lines = []
@@ -506,14 +548,29 @@ def text(rows: Mapping[Row, Sequence[Result]]) -> str:
             " / ".join(f"{getattr(result, name):.{digits}f}" for result in results)
             for name, digits in (("drag", 1), ("door", 1), ("angle", 0))
         ]
-        quiet, time_limit = min((result.quiet, result.rested) for result in results)
-        price = (
-            f"{max(result.reversals for result in results):.0f}",
-            f"{max(result.heat for result in results):.2f}",
-            f"{'' if quiet < time_limit - 1e-9 else '≥ '}{quiet:.2g}",
+        lines.append((*row, *figures, *prices([result.rest for result in results])))
+    return program.markdown((*columns, *PRICES), lines)
+
+
+def rest_text(rows: Mapping[Row, Sequence[Rest]]) -> str:
+    """Return a Markdown table of arms at rest to the end, with one line per remedy, arm and delay.
+
+    Each cell has the worst of the ratios of true to assumed friction.
+    """
+    displacements = ("displaced at the end [mm]", "at most [mm]")
+    columns = ("remedy", "arm", "ticks each way", *PRICES, *displacements, "joints [mrad/s]")
+    lines = [
+        (
+            *row,
+            *prices(results),
+            *(
+                f"{1e3 * max(getattr(result, name) for result in results):.{digits}f}"
+                for name, digits in (("displacement", 1), ("largest_displacement", 1), ("speed", 2))
+            ),
         )
-        lines.append((*row, *figures, *price))
-    return program.markdown((*columns, "reversals [1/s]", "heat [1]", "quiet [min]"), lines)
+        for row, results in rows.items()
+    ]
+    return program.markdown(columns, lines)
 
 
 def main(
@@ -522,6 +579,9 @@ def main(
     remedy: program.Arms = (),
     exact: bool = False,
     minutes: float = 0.05,
+    rest_only: bool = False,
+    delay: Annotated[tuple[int, ...], tyro.conf.UseAppendAction] = (),
+    friction: Annotated[tuple[float, ...], tyro.conf.UseAppendAction] = (),
     jobs: int = 2,
 ) -> None:
     """Measure remedies for gears that stick, and print one table.
@@ -531,28 +591,35 @@ def main(
         remedy: Names of the remedies; default: all.
         exact: True for exact readings, else encoders with counts of 0.088°.
         minutes: Time at rest of each row [min].
+        rest_only: True measures only the arm at rest with real gears, to the end of `minutes`.
+        delay: Delays of readings and of commands [ticks]; default: 0 and 1.
+        friction: Ratios of true to assumed friction; default: all of `FACTORS`.
         jobs: Number of processes.
     """
     step = 0.0 if exact else COUNT
+    arms, factors = arm or tuple(BENCHES), friction or FACTORS
     rows: dict[Row, list[str]] = {}
     work: list[Job] = []
-    for name in arm or tuple(BENCHES):
-        for delay in (0, 1):
-            case = Case(arm=name, delay=delay, friction=None, encoder_step=step)
-            plan: list[tuple[str, str, tuple[float | None, ...]]]
-            plan = [(IDEAL, "present law", (None,))]
-            plan += [(key, key, FACTORS) for key in remedy or tuple(REMEDIES)]
-            for label, key, factors in plan:
-                keys = rows.setdefault((label, name, delay), [])
-                for factor in factors:
-                    keys.append(f"{label}|{name}|{delay}|{factor}")
-                    scaled_case = replace(case, friction=factor)
-                    work.append(Job(keys[-1], measure, (scaled_case, key, minutes)))
+    plan: list[tuple[str, str, tuple[float | None, ...]]]
+    plan = [] if rest_only else [(IDEAL, "present law", (None,))]
+    plan += [(key, key, factors) for key in remedy or tuple(REMEDIES)]
+    for name, ticks, (label, key, ratios) in product(arms, delay or (0, 1), plan):
+        keys = rows.setdefault((label, name, ticks), [])
+        for ratio in ratios:
+            keys.append(f"{label}|{name}|{ticks}|{ratio}")
+            case = Case(arm=name, delay=ticks, friction=ratio, encoder_step=step)
+            if rest_only:
+                work.append(Job(keys[-1], rest, (case, key, minutes), {"to_the_end": True}))
+            else:
+                work.append(Job(keys[-1], measure, (case, key, minutes)))
     results = run_by_key(work, jobs, "gears")
-    print(text({row: [results[key] for key in keys] for row, keys in rows.items()}))
-    for name in arm or tuple(BENCHES):
-        for kind, friction in (("real", 1.0), ("ideal", None)):
-            smallest = bound(Case(arm=name, friction=friction, encoder_step=step))
+    table = {row: [results[key] for key in keys] for row, keys in rows.items()}
+    print(rest_text(table) if rest_only else text(table))
+    if rest_only:
+        return
+    for name in arms:
+        for kind, ratio in (("real", 1.0), ("ideal", None)):
+            smallest = bound(Case(arm=name, friction=ratio, encoder_step=step))
             print(
                 f"{name}, {kind} gears: a joint moves at {smallest.moves:.2f} N of the hand, and "
                 f"{smallest.counts:.2f} N more turn it by a count"

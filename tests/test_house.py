@@ -219,6 +219,13 @@ def test_a_wheel_for_others_names_no_folder_of_its_builder(wheel):
     assert str(ROOT).encode() not in binary
 
 
+def test_miri_runs_tests_that_exist():
+    names = re.findall(r"instructions::(\w+)", (ROOT / "tools/miri.sh").read_text("utf-8"))
+    source = (ROOT / "rust/core/tests/instructions.rs").read_text("utf-8")
+    assert names
+    assert not [name for name in names if f"fn {name}()" not in source]
+
+
 def test_notices_are_of_the_crates_that_are_linked():
     sys.path.insert(0, str(ROOT / "tools"))
     try:

@@ -117,6 +117,7 @@ class Life(RuleBasedStateMachine):
         self.line, self.clock = self.bus.lines["main"], Clock(self.bus)
         self.n = self.model.n
         self.in_force = np.zeros(self.n)
+        self.volts = np.full(self.n, self.bus.servo(1).supply)
         self.patch.setattr(
             pliant.arm._signals, "time", SimpleNamespace(monotonic=lambda: self.bus.time)
         )
@@ -185,11 +186,19 @@ class Life(RuleBasedStateMachine):
     was_on = np.zeros(1, dtype=bool)
 
     def compare(self, limits):
-        """Check that no torque limit in a servo rises beyond the limit of the last command."""
+        """Check that no torque limit in a servo rises beyond the limit of the last command.
+
+        A servo's limit is a share of what its supply gives, so it grows with the supply until the
+        program has read the new voltage.
+        """
         commanded = self.arm.drive.commanded
         bound = (
             self.in_force if commanded is None else np.maximum(self.in_force, commanded[: self.n])
         )
+        devices = self.arm.drive._devices[: self.n]
+        if all(device.voltage is not None for device in devices):
+            self.volts = np.array([device.units.voltage for device in devices])
+        bound = bound * np.maximum(1.0, self.bus.servo(1).supply / self.volts)
         if np.any(limits > 1.01 * bound + 1e-6):
             self.wrong.append(f"{self.bus.time:.2f} s: limits {limits}, commanded {commanded}")
         self.in_force = limits

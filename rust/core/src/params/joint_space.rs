@@ -12,8 +12,8 @@ use crate::model::Model;
 use crate::params::{Frame, ServoArrays};
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
-/// Number of configurations that sample the joint space.
-const CONFIGURATIONS: u32 = 512;
+/// Number of configurations that sample the joint space. Miri takes minutes for 512.
+const CONFIGURATIONS: u32 = if cfg!(miri) { 4 } else { 512 };
 
 /// Number of configurations for the time constants of the axes.
 const TIME_CONSTANT_CONFIGURATIONS: usize = 64;
