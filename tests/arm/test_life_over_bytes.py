@@ -254,7 +254,8 @@ class Life(RuleBasedStateMachine):
             self.connect()
         self.ending(self.arm.enable)
         if self.arm.enabled:
-            self.is_left = self.has_tripped = False
+            # A servo may have tripped while torque came on.
+            self.is_left, self.has_tripped = False, not self.powered().all()
 
     @rule(
         seconds=st.sampled_from([0.1, 0.3, 0.6]),
