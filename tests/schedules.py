@@ -286,6 +286,7 @@ class Scheduler:
     def threading(self):
         """Stand-in for the module `threading`."""
         return SimpleNamespace(
+            Lock=lambda: Lock(self),
             RLock=lambda: Lock(self),
             Event=lambda: Event(self),
             Thread=lambda target, args=(), name="", daemon=None: SimpleNamespace(

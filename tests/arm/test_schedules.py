@@ -358,6 +358,8 @@ class World:
         Descent.world = self
         set_attribute(_supervisor, "threading", scheduler.threading)
         set_attribute(_supervisor, "time", scheduler.time)
+        # A killed program would keep the lock of the real one for ever.
+        set_attribute(_supervisor, "_SHORT_SWITCH_INTERVAL", _supervisor.ShortSwitchInterval())
         set_attribute(_signals, "time", scheduler.time)
         set_attribute(_shutdown, "time", scheduler.time)
         set_attribute(_shutdown, "Lowering", Descent)
