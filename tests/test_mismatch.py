@@ -87,7 +87,7 @@ def cases():
     for options in (
         {"load": lifecycle.LOAD},
         {"load": lifecycle.LOAD, "over_table": True, "ticks": 1},
-        {"load": lifecycle.LOAD, "blind": True, "ticks": 1},
+        {"load": lifecycle.LOAD, "answered": 0.0, "ticks": 1},
         {"kp_scale": 1.25, "over_table": True},
         {"kp_scale": 0.8, "over_table": True},
     ):

@@ -356,15 +356,21 @@ def test_a_reading_and_the_first_ones_of_a_closed_copy_take_a_limited_time(
 ):
     """The servos still turn to the last goals of the program that has ended."""
     budgets, start_cycle = [], TransactionGuard.start_cycle
+    read_at_once = TransactionGuard.read_at_once
 
     def recorded(guard, budget=math.inf):
         budgets.append((budget, guard.counters.transactions))
         start_cycle(guard, budget)
 
+    def recorded_reading(guard, *arguments):
+        budgets.append((arguments[-1], guard.counters.transactions))
+        return read_at_once(guard, *arguments)
+
     with emulated("sts", 2, clock="steps") as (bus, servo_bus):
         enabled(servo_bus)
         copy = servo_bus.closed_copy()
         monkeypatch.setattr(TransactionGuard, "start_cycle", recorded)
+        monkeypatch.setattr(TransactionGuard, "read_at_once", recorded_reading)
         servo_bus.read()
         assert [budget for budget, _ in budgets] == [servo_bus._budget]
         budgets.clear()

@@ -8,7 +8,7 @@ import pytest
 from pliant import ServoError, ServoFaultError
 from pliant.emulator import Emulator, ManualClock
 from pliant.servo import BusError, ServoBus, ServoSpec, get_model
-from pliant.servo._device import Device
+from pliant.servo._device import Changes, Device
 from pliant.servo._port import Port, StatusPoller
 from tests.servo.conftest import devices
 
@@ -560,13 +560,17 @@ def test_a_register_is_wrong_after_three_packets_and_half_a_second():
     ],
 )
 def test_the_status_of_a_joint_is_that_of_its_worst_servo(volts, temperatures, expected):
-    family = SimpleNamespace(status="feetech", status_blocks=[])
+    family, changes = SimpleNamespace(status="feetech", status_blocks=[]), Changes()
     joint = [
         SimpleNamespace(
             spec=SimpleNamespace(name="lift"),
             family=family,
+            changes=changes,
             voltage=voltage,
             temperature=temperature,
+            conditions=(),
+            other_faults={},
+            has_mismatch=False,
             faults=(f"fault {number}",),
         )
         for number, (voltage, temperature) in enumerate(zip(volts, temperatures, strict=True))
@@ -580,12 +584,27 @@ def test_every_register_that_may_be_wrong_is_read_again_in_turn():
     family = SimpleNamespace(
         status="feetech", status_blocks=["all"], stored_command_blocks=["limit", "goal"]
     )
+    blocks = []
     device = SimpleNamespace(
-        family=family, conditions=(), other_faults={}, has_mismatch=True, has_suspect_register=True
+        spec=SimpleNamespace(name="lift"),
+        id=1,
+        joint=0,
+        family=family,
+        changes=Changes(),
+        voltage=12.0,
+        temperature=30.0,
+        faults=(),
+        conditions=(),
+        other_faults={},
+        has_mismatch=True,
+        has_suspect_register=True,
+        has_new_status=False,
+        note=lambda _: None,
     )
-    device.has_new_status = False
+    guard = SimpleNamespace(is_gone=False, read=lambda _, block: blocks.append(block))
     poller = StatusPoller([[device]])
-    blocks = [poller._choose()[1] for _ in range(8)]
+    for _ in range(8):
+        poller.step({id(device): SimpleNamespace(guard=guard)})
     assert blocks[::2] == ["goal", "limit", "goal", "limit"]
     assert blocks[1::2] == ["all"] * 4
 

@@ -59,6 +59,20 @@ def test_a_lost_answer_is_drained_and_asked_for_again(fake_bus):
     assert (counters.retries, counters.timeouts, counters.drains) == (1, 1, 1)
 
 
+class Encoder:
+    """Group of servos whose commands go to the transport's `sync_encode`."""
+
+    def __init__(self, guard):
+        self._bus = guard._io
+
+    def write(self, *_):
+        try:
+            self._bus.sync_encode()
+        except BusError as error:
+            self._bus.lost = lambda _, lost=error: lost
+            raise OSError from error
+
+
 @pytest.mark.parametrize(
     ("name", "call"),
     [
@@ -66,7 +80,7 @@ def test_a_lost_answer_is_drained_and_asked_for_again(fake_bus):
         ("sync_read", lambda guard: guard.sync_read([1], SHORT)),
         ("write", lambda guard: guard.write(1, 24, b"\1")),
         ("sync_write", lambda guard: guard.sync_write([1], 30, [b"\0\0"])),
-        ("sync_encode", lambda guard: guard.sync_encode([1], [SHORT], None, [0], None)),
+        ("sync_encode", lambda guard: guard.sync_encode(Encoder(guard), 1, [SHORT], ())),
         ("ping", lambda guard: guard.ping(1)),
         ("reboot", lambda guard: guard.reboot(1)),
     ],

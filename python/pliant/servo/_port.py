@@ -329,6 +329,7 @@ class Port:
         self.watchdog = min(MAX_WATCHDOG, ceil(seconds / WATCHDOG_UNIT)) if seconds > 0.0 else 0
         pending = [d for d in self.devices if "watchdog" in d.family.registers]
         self._is_armed = self._is_armed or bool(pending and self.watchdog)
+        has_answer = False
         for _ in range(WATCHDOG_TRIES):
             if not pending:
                 break
@@ -341,7 +342,8 @@ class Port:
                 error.raise_if_gone()
             answered = [device for device in pending if self._read_block(device, block)]
             pending = [d for d in pending if d not in answered or d.watchdog != self.watchdog]
-            if not answered:
+            has_answer = has_answer or bool(answered)
+            if not has_answer:
                 break
         if not pending and not self.watchdog:
             self._is_armed = False
@@ -391,8 +393,14 @@ class Port:
             device.record_sent(goal, limit, packet)
 
     def _read_block(self, device: Device, block: Block) -> bool:
-        """Read a block of registers and store its values in the device; False: no reply came."""
+        """Read a block of registers and store its values in the device; False: no reply came.
+
+        After a lost reply to such a request, a reading of another length comes first: its reply
+        proves that the lost one can no longer come.
+        """
         try:
+            if self.guard.may_get_late_reply(device.id, block):
+                self.guard.read(device.id, *device.family.read, again=False)
             device.note(self.guard.read(device.id, block, again=False))
         except BusError as error:
             error.raise_if_gone()

@@ -375,6 +375,10 @@ class TransactionGuard:
         """Drain the line before the next request: replies to an ended program may still come."""
         self._is_dirty = True
 
+    def may_get_late_reply(self, id: int, block: Block) -> bool:
+        """Return True if a reply of servo `id` with the length of `block` is still missing."""
+        return block.size in self._pending.ambiguous_lengths(id)
+
     def read(self, id: int, *blocks: Block, again: bool = True) -> Reply:
         """Read a block of registers of one servo; after a failure, drain the line and retry.
 
