@@ -190,6 +190,16 @@ def test_a_watchdog_whose_packets_are_lost_is_set_again():
         assert not lost
 
 
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_lost_reply_leaves_no_watchdog_unconfirmed(count):
+    # A late reply would look like the next one, so a reading of another length comes in between.
+    with Emulator(devices("xm", 2), clock="steps") as bus, servo_bus_on(bus, "xm", 2) as servo_bus:
+        servo_bus.read()
+        bus.faults.inject("lose", 2, count=count)
+        servo_bus.watchdog(0.2)
+        assert [servo.get("bus_watchdog") for servo in bus.servos] == [10, 10]
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_first_goals_lead_by_what_carries_the_weight(kind):
     """A joint whose goal would be outside of the range of the servo leads up to its end."""
