@@ -131,7 +131,7 @@ def test_a_blind_descent_is_no_faster(grasp, bring):
     [("so101", 0.1), ("koch", 0.05), pytest.param("arm7", 0.1, marks=pytest.mark.full)],
 )
 def test_a_line_that_loses_most_readings_delays_the_end_of_a_descent_only(robot, answered):
-    # Readings after each silence of 0.2 s began the descent anew, without end.
+    # Each silence of 0.2 s restarted the fall of the torque limits, so the descent did not end.
     (q,) = postures(1, robot=robot, load=0.05, seed=3)
     run = lower(q, robot=robot, over_table=True, answered=answered)
     assert run.seconds < 75.0
