@@ -94,6 +94,7 @@ class Device:
         hardware: Errors in the hardware error register (Protocol 2.0).
         harmless: Error bits of conditions that leave the torque on: an overload, unless the
             register Shutdown enables protection from it.
+        has_harmless_error: True if the hardware error register has bits, and only harmless ones.
         other_faults: Texts of faults that this program detected, not the servo itself, by topic.
         watchdog: Bus watchdog as last read [units of 20 ms].
         tripped: True if the bus watchdog has tripped, so that the servo rejects goals.

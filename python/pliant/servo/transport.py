@@ -61,8 +61,8 @@ class Transport(Protocol):
 
     Data are bytes of the control table from `address` on. A status is the error byte of a reply.
 
-    Optional: the attribute `serial`, the port for requests with conversion in one call of the core,
-    see `RustypotTransport`.
+    Optional: the attribute `serial`, the port for requests with conversion in one call of the core;
+    with it, the methods `lost` and `broken`, see `RustypotTransport`.
     """
 
     def read(self, id: int, address: int, size: int) -> tuple[bytes, int]:
