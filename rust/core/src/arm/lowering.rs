@@ -116,6 +116,9 @@ const STOPPED_DISTANCE: f64 = 0.02;
 const STOPPED_TIME: f64 = 10.0;
 /// Upper bound on the time between two ticks [s]; a longer time counts as this one.
 const MAX_TICK: f64 = 0.1;
+/// Longest time for which goals and torque limits move in one tick [s]. A servo jumps to each goal, so a longer motion
+/// would make the arm faster than allowed, and nothing is measured until the next tick.
+const MAX_MOTION_TIME: f64 = 0.04;
 /// Change of a position above which it is not rounding error [rad].
 const MIN_CHANGE: f64 = 1e-6;
 /// Largest encoder count that is concluded from changes of position [rad].
@@ -446,10 +449,11 @@ impl Lowering {
 
     /// Updates goals and torque limits for one tick; a `lost` joint keeps its goal while others have positions.
     ///
-    /// Goals move for the time `dt` of one tick, also after ticks without positions, or they would jump. What is timed,
-    /// standstills and the ramp of the limits, takes all of the time that has passed.
+    /// Goals move for the time `dt` of one tick, at most [`MAX_MOTION_TIME`], also after ticks without positions, or
+    /// they would jump. What is timed, such as standstills, takes all of the time that has passed.
     fn advance(&mut self, dt: f64, lost: &[bool; MAX_JOINTS], speed_limit: &mut JointVec) {
         let (here, gravity) = (self.points.evaluate(&self.q), self.gravity());
+        let dt = dt.min(MAX_MOTION_TIME);
         let elapsed = std::mem::take(&mut self.waited);
         self.positions.push(self.time, &self.q);
         self.positions.drop_before(self.time - SPEED_WINDOW, 2);
@@ -722,6 +726,8 @@ impl Lowering {
     fn release(&mut self, dt: f64, fastest: f64, lost: &[bool; MAX_JOINTS]) {
         let late = self.is_late();
         if fastest > FALLING && !late {
+            // Otherwise limits that rise would throw the joints back to goals above the falling arm.
+            self.keep_goals_near(lost);
             self.enter(LoweringPhase::Down);
             return;
         }
@@ -729,20 +735,25 @@ impl Lowering {
         // Limits rise again while the arm slides faster than `SLIDING`: they brake it.
         let pace = if late { 1.0 } else { ((SLIDING - fastest) / (SLIDING - STILL)).clamp(-3.0, 1.0) };
         let least = if fastest < STILL || late { 0.0 } else { LAST_SHARE.min(self.ramp) };
-        self.ramp = (self.ramp - dt / duration * pace).max(least).min(1.0);
+        self.ramp = (self.ramp - dt.min(MAX_MOTION_TIME) / duration * pace).max(least).min(1.0);
         for i in 0..self.n {
             self.torque_limit[i] = self.ramp * self.ramp_limit[i];
-            // The limit brakes an arm that slides. Goals stay near it, so that it does not jump back later.
-            let max = self.ramp * self.ramp_lead[i].max(self.ramp_limit[i] / self.kp[i]);
-            if !lost[i] {
-                self.goal[i] = self.q[i] + clip(self.goal[i] - self.q[i], max);
-            }
         }
+        // The limit brakes an arm that slides. Goals stay near it, so that it does not jump back later.
+        self.keep_goals_near(lost);
         // The arm must stand still without torque before torque is switched off.
         let stands = self.ramp <= 0.0 && fastest < STILL;
         self.rest_time = if stands { self.rest_time + dt } else { 0.0 };
         if self.ramp <= 0.0 && (late || self.rest_time > SETTLING_TIME) {
             self.phase = LoweringPhase::Done;
+        }
+    }
+
+    /// Bounds the leads of joints with positions by the present share of those at the start of the ramp.
+    fn keep_goals_near(&mut self, lost: &[bool; MAX_JOINTS]) {
+        for i in (0..self.n).filter(|i| !lost[*i]) {
+            let max = self.ramp * self.ramp_lead[i].max(self.ramp_limit[i] / self.kp[i]);
+            self.goal[i] = self.q[i] + clip(self.goal[i] - self.q[i], max);
         }
     }
 
