@@ -128,6 +128,7 @@ class Case:
         over_table: True if there is a table under the arm.
         on_bytes: True if the servos are emulated on a serial port.
         usb_latency: Latency timer of its adapter, which delays each reply [s].
+        rate: Rate of the arm's loops [Hz].
         q: Start pose (n,) [rad].
         truth: True parameters of the arm.
     """
@@ -137,6 +138,7 @@ class Case:
     over_table: bool
     on_bytes: bool = False
     usb_latency: float = 0.0
+    rate: float = 100.0
     q: tuple[float, ...] = field(repr=False)
     truth: TrueParameters
 
@@ -333,7 +335,11 @@ def _simulated(job: Case, kind: type[SimDrive] = SimDrive) -> Iterator[tuple[Arm
     recorder = PeakRecorder(job, plant)
     drive = kind(plant, servos=model.servos.replace(stiffness_known=False))
     arm = Arm(
-        model, drive, grippers=factory.gripper_configs(configuration(job.arm)), handle_signals=False
+        model,
+        drive,
+        rate=job.rate,
+        grippers=factory.gripper_configs(configuration(job.arm)),
+        handle_signals=False,
     )
     lead = _holding_torque(model, np.asarray(job.q), truth.load) / plant.gains.kp
     goal = np.concatenate((job.q + lead, drive.read().position[model.n :]))
@@ -371,7 +377,13 @@ def _over_bytes(job: Case) -> Iterator[tuple[Arm, PeakRecorder]]:
             reply_timeout_min=REPLY_TIMEOUT_MIN,
             clock=ManualClock(bus),
         )
-        arm = Arm(model, drive, grippers=factory.gripper_configs(own), handle_signals=False)
+        arm = Arm(
+            model,
+            drive,
+            rate=job.rate,
+            grippers=factory.gripper_configs(own),
+            handle_signals=False,
+        )
         try:
             yield arm, recorder
         finally:
@@ -460,16 +472,27 @@ def random_parameters(
     return found
 
 
-def descents(name: str, count: int, *, seed: int = 0, on_bytes: bool = False) -> list[Job]:
+def descents(
+    name: str, count: int, *, seed: int = 0, on_bytes: bool = False, rate: float = 100.0
+) -> list[Job]:
     """Return the runs of one arm: every pose in free air and over a table, and the ready pose.
 
-    The ready pose is combined with the first true parameters, without a load.
+    The ready pose is combined with the first true parameters, without a load. `rate` [Hz] is that
+    of `Case`.
     """
     drawn = random_parameters(
         configuration(name).model() if on_bytes else robot(name), count, seed=seed
     )
     runs = [
-        Job(arm=name, number=k, over_table=over, on_bytes=on_bytes, q=tuple(q), truth=truth)
+        Job(
+            arm=name,
+            number=k,
+            over_table=over,
+            on_bytes=on_bytes,
+            rate=rate,
+            q=tuple(q),
+            truth=truth,
+        )
         for over in (False, True)
         for k, (q, truth) in enumerate(drawn)
     ]
@@ -590,6 +613,7 @@ def main(
     hand: bool = False,
     over_bytes: Annotated[bool, tyro.conf.arg(name="bytes")] = False,
     usb_latency: float = 0.0,
+    rate: float = 100.0,
 ) -> None:
     """Lower arms whose true parameters differ from the assumed ones.
 
@@ -602,6 +626,7 @@ def main(
         hand: True switches torque on in a hand, and does not lower the arm.
         over_bytes: True uses emulated servos on a serial port, in emulated time.
         usb_latency: Latency timer of the adapter of this port [s], only with `hand`.
+        rate: Rate of the arm's loops [Hz], only without `hand`.
     """
     print(program.head(HAND_COLUMNS if hand else COLUMNS), flush=True)
     for name in arm or ARMS:
@@ -616,7 +641,7 @@ def main(
                     print(f"    {start.number} {result}", flush=True)
             print("\n".join(hand_rows(name, held, results)), flush=True)
             continue
-        work = descents(name, poses, seed=seed, on_bytes=over_bytes)
+        work = descents(name, poses, seed=seed, on_bytes=over_bytes, rate=rate)
         seen: list[DescentResult] = []
         for job, one in zip(work, run_jobs(work, jobs, f"descent of {name}"), strict=True):
             seen.append(one)

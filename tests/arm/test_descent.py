@@ -1,6 +1,7 @@
 """Torque on and descent of arms whose servos, load, gears and encoders differ from the model."""
 
 import random
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,6 @@ pytest.importorskip("mujoco", reason="descents run on the simulator: extra sim")
 
 from experiments import descent
 from pliant.arm import _transfer
-from pliant.arm.arm import Arm
 from pliant.emulator import Timing
 
 #: By arm: numbers of the runs of `descent.descents` that are always tested. Even runs are in free
@@ -228,17 +228,10 @@ def test_fifty_poses_of_every_arm(arm, number, over):
 
 
 @pytest.mark.parametrize(("number", "rate"), [(3, 5.0), (-4, 10.0)])
-def test_a_slow_loop_lowers_an_arm_as_softly(number, rate, monkeypatch):
+def test_a_slow_loop_lowers_an_arm_as_softly(number, rate):
     # If goals moved for all of a tick and limits fell for all of it, the tool would fall at 0.15
     # m/s after torque off (run 3), and stiff servos would jump at 0.37 m/s (run -4).
-    lower = Arm.lower
-
-    def slowly(arm):
-        arm.rate = rate
-        lower(arm)
-
-    monkeypatch.setattr(Arm, "lower", slowly)
-    job = job_of("arm7", number, False)
+    job = replace(job_of("arm7", number, False), rate=rate)
     check(job, job.run())
 
 
