@@ -7,6 +7,7 @@ from emulator.helpers import address_of, ask, le16, le32, pass_time, single_serv
 
 from pliant.emulator import MODELS, Device
 from pliant.emulator.packets import packet_2
+from pliant.servo.models import get_model, list_models
 
 RANGE, LENGTH, LIMIT, ACCESS, ALERT = 4, 5, 6, 7, 0x80
 CURRENT_POSITION = 5
@@ -117,6 +118,16 @@ def test_goal_current_limits_torque_in_mode_5_and_not_in_mode_3():
     assert servo.drive().ceiling == pytest.approx(4.1)
     write(line, "goal_pwm", *le16(200))
     assert servo.drive().ceiling == pytest.approx(4.1 * 200 / 885)
+
+
+@pytest.mark.parametrize("name", [name for name in list_models() if name in MODELS])
+def test_factory_gains_of_driver_and_emulator_agree(name):
+    # Both tables are copied from the e-Manuals, each for itself.
+    row, table = get_model(name), MODELS[name].table
+    registers = ("position_p_gain", "p_gain", "p_coefficient", "cw_compliance_slope")
+    (gain,) = (register for register in registers if register in table)
+    _, servo = single_servo(name)
+    assert servo.get(gain) == row.gain_default
 
 
 def test_stiffness_of_factory_gains():

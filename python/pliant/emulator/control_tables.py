@@ -323,19 +323,17 @@ MX64_2 = _with_current(_X.changed(position_p_gain=850, velocity_limit=285), 1941
 MX106_2 = _with_current(_X.changed(position_p_gain=850, velocity_limit=210), 2047)
 
 _PRESENT_LOAD = "126 2 R r 0 -1000..1000 t present_load\n"
-_LOW_VOLTAGE = """
- 32 2 E rw 140 60..140 u max_voltage_limit
- 34 2 E rw 60  60..140 u min_voltage_limit
-"""
 _NO_CURRENT = _X.without("present_current").changed(_PRESENT_LOAD)
 XL430 = _NO_CURRENT.changed(
-    _LOW_VOLTAGE, temperature_limit=72, velocity_limit=265, position_p_gain=640,
+    "32 2 E rw 140 60..140 u max_voltage_limit\n34 2 E rw 60 60..140 u min_voltage_limit\n",
+    temperature_limit=72, velocity_limit=265, position_p_gain=640,
     position_d_gain=4000, velocity_i_gain=1000,
 )  # fmt: skip
-XC430 = XL430.changed(
-    "32 2 E rw 160 60..160 u max_voltage_limit\n34 2 E rw 60 60..160 u min_voltage_limit\n",
-    temperature_limit=80, position_p_gain=700, position_d_gain=1200,
-)  # fmt: skip
+_XC430 = _NO_CURRENT.changed(
+    "32 2 E rw 160 60..160 u max_voltage_limit\n34 2 E rw 60 60..160 u min_voltage_limit\n"
+)
+XC430_W150 = _XC430.changed(position_p_gain=460, velocity_limit=460)
+XC430_W240 = _XC430.changed(position_p_gain=700, velocity_limit=306)
 MX28_2 = _NO_CURRENT.changed(position_p_gain=850, velocity_limit=230)
 
 _XL330_ROWS = """
@@ -352,9 +350,13 @@ _XL330_BASE = Table(parse(_X_COMMON + _indirect(208, 20, 64, 227) + _XL330_ROWS)
 XL330 = _with_current(_XL330_BASE, 1750).changed(
     shutdown=53, position_p_gain=400, velocity_i_gain=1600, velocity_p_gain=180
 )
-XC330 = _with_current(_XL330_BASE, 910).changed(
-    _LOW_VOLTAGE, shutdown=52, position_p_gain=800, velocity_i_gain=1600, velocity_p_gain=180
-)
+_XC330 = _with_current(_XL330_BASE, 910).changed(
+    "32 2 E rw 140 55..140 u max_voltage_limit\n34 2 E rw 55 55..140 u min_voltage_limit\n"
+    "62 1 E rw 255 1..255 u pwm_slope\n",
+    shutdown=52, position_p_gain=900, velocity_i_gain=1200, velocity_p_gain=40,
+)  # fmt: skip
+XC330_T181 = _XC330.changed(velocity_limit=510)
+XC330_T288 = _XC330.changed(velocity_limit=320)
 
 STS = Table(
     parse("""
