@@ -128,7 +128,7 @@ class Case:
         over_table: True if there is a table under the arm.
         on_bytes: True if the servos are emulated on a serial port.
         usb_latency: Latency timer of its adapter, which delays each reply [s].
-        rate: Rate of the arm's loops [Hz].
+        cycle: Time that a command takes on the simulated bus, see `SlowDrive` [s].
         q: Start pose (n,) [rad].
         truth: True parameters of the arm.
     """
@@ -138,7 +138,7 @@ class Case:
     over_table: bool
     on_bytes: bool = False
     usb_latency: float = 0.0
-    rate: float = 100.0
+    cycle: float = 0.0
     q: tuple[float, ...] = field(repr=False)
     truth: TrueParameters
 
@@ -156,7 +156,10 @@ class Job(Case):
 
     def run(self) -> DescentResult:
         """Enable the arm, lower it, enable it again, and return the recorded result."""
-        with (_over_bytes if self.on_bytes else _simulated)(self) as (arm, recorder):
+        kind = SlowDrive if self.cycle else SimDrive
+        with _over_bytes(self) if self.on_bytes else _simulated(self, kind) as (arm, recorder):
+            if isinstance(arm.drive, SlowDrive):
+                arm.drive.cycle = self.cycle
             plant, clock = recorder.plant, arm.clock
             moved, jerk = self.enable(arm, recorder)
             recorder.begin()
@@ -257,6 +260,21 @@ class HandDrive(SimDrive):
         super().enable(goal, limit)
 
 
+class SlowDrive(SimDrive):
+    """Simulated drive on a slow bus.
+
+    Attributes:
+        cycle: Time that a command takes [s].
+    """
+
+    cycle = 0.0
+
+    def write(self, goal: Array, limit: Array, velocity: Array | None = None) -> None:
+        """Send goals (N,) [rad] and torque limits (N,) [N·m], then wait for `cycle`."""
+        super().write(goal, limit, velocity)
+        self.clock.wait_until(self.clock.now() + self.cycle)
+
+
 @dataclass
 class Peaks:
     """Largest values since `PeakRecorder.begin`, as in `DescentResult`."""
@@ -335,11 +353,7 @@ def _simulated(job: Case, kind: type[SimDrive] = SimDrive) -> Iterator[tuple[Arm
     recorder = PeakRecorder(job, plant)
     drive = kind(plant, servos=model.servos.replace(stiffness_known=False))
     arm = Arm(
-        model,
-        drive,
-        rate=job.rate,
-        grippers=factory.gripper_configs(configuration(job.arm)),
-        handle_signals=False,
+        model, drive, grippers=factory.gripper_configs(configuration(job.arm)), handle_signals=False
     )
     lead = _holding_torque(model, np.asarray(job.q), truth.load) / plant.gains.kp
     goal = np.concatenate((job.q + lead, drive.read().position[model.n :]))
@@ -377,13 +391,7 @@ def _over_bytes(job: Case) -> Iterator[tuple[Arm, PeakRecorder]]:
             reply_timeout_min=REPLY_TIMEOUT_MIN,
             clock=ManualClock(bus),
         )
-        arm = Arm(
-            model,
-            drive,
-            rate=job.rate,
-            grippers=factory.gripper_configs(own),
-            handle_signals=False,
-        )
+        arm = Arm(model, drive, grippers=factory.gripper_configs(own), handle_signals=False)
         try:
             yield arm, recorder
         finally:
@@ -473,11 +481,11 @@ def random_parameters(
 
 
 def descents(
-    name: str, count: int, *, seed: int = 0, on_bytes: bool = False, rate: float = 100.0
+    name: str, count: int, *, seed: int = 0, on_bytes: bool = False, cycle: float = 0.0
 ) -> list[Job]:
     """Return the runs of one arm: every pose in free air and over a table, and the ready pose.
 
-    The ready pose is combined with the first true parameters, without a load. `rate` [Hz] is that
+    The ready pose is combined with the first true parameters, without a load. `cycle` [s] is that
     of `Case`.
     """
     drawn = random_parameters(
@@ -489,7 +497,7 @@ def descents(
             number=k,
             over_table=over,
             on_bytes=on_bytes,
-            rate=rate,
+            cycle=cycle,
             q=tuple(q),
             truth=truth,
         )
@@ -613,7 +621,7 @@ def main(
     hand: bool = False,
     over_bytes: Annotated[bool, tyro.conf.arg(name="bytes")] = False,
     usb_latency: float = 0.0,
-    rate: float = 100.0,
+    cycle: float = 0.0,
 ) -> None:
     """Lower arms whose true parameters differ from the assumed ones.
 
@@ -626,7 +634,7 @@ def main(
         hand: True switches torque on in a hand, and does not lower the arm.
         over_bytes: True uses emulated servos on a serial port, in emulated time.
         usb_latency: Latency timer of the adapter of this port [s], only with `hand`.
-        rate: Rate of the arm's loops [Hz], only without `hand`.
+        cycle: Time that a command takes on the simulated bus [s].
     """
     print(program.head(HAND_COLUMNS if hand else COLUMNS), flush=True)
     for name in arm or ARMS:
@@ -641,7 +649,7 @@ def main(
                     print(f"    {start.number} {result}", flush=True)
             print("\n".join(hand_rows(name, held, results)), flush=True)
             continue
-        work = descents(name, poses, seed=seed, on_bytes=over_bytes, rate=rate)
+        work = descents(name, poses, seed=seed, on_bytes=over_bytes, cycle=cycle)
         seen: list[DescentResult] = []
         for job, one in zip(work, run_jobs(work, jobs, f"descent of {name}"), strict=True):
             seen.append(one)

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 #: Shortest time between two progress messages of a descent, the lowering of the arm [s].
 PROGRESS = 1.0
+#: Minimum rate of the control loop of a descent [Hz]; a slow bus may still make it slower.
+MIN_RATE = 25.0
 #: Smallest gravity torque with which a message names a joint as carrying the arm [N·m].
 MIN_LOAD = 1e-3
 #: Largest length of an error text in a message [characters].
@@ -243,7 +245,7 @@ def descend(
     Args:
         io: Read and write access to the arm.
         rest: Rest pose to move to first (n,) [rad]; None: straight down.
-        rate: Rate of the descent's control loop [Hz].
+        rate: Rate of the arm's loops [Hz]; the descent uses at least `MIN_RATE`.
         is_aborted: Function that returns True to abort the descent; torque then stays on.
         on_tick: Function to call with the descent in each cycle; None: no call.
 
@@ -256,6 +258,7 @@ def descend(
             on.
     """
     clock, model = io.clock, io.model
+    period = 1.0 / max(rate, MIN_RATE)
     # Disable the servos' watchdogs: after a trip, a servo would reject the goals of the descent.
     with contextlib.suppress(ServoError):
         io.set_watchdog(0.0)
@@ -304,7 +307,7 @@ def descend(
         with contextlib.suppress(ServoError):
             speed_limit = order.speed_limit if lowering.blind else None
             io.send(order.goal, order.torque_limit, speed_limit)
-        before, deadline = now, max(deadline + 1.0 / rate, now)
+        before, deadline = now, max(deadline + period, now)
         clock.wait_until(deadline)
     return False
 

@@ -67,7 +67,8 @@ class Arm:
             table; None: straight down.
         on_exit: Action of `close` and of the end of `with` if torque is on: `lower` or
             `leave_enabled`.
-        rate: Rate of the arm's own loops in `enable` and `lower` [Hz].
+        rate: Rate of the arm's own loops in `enable` and `lower` [Hz]; `lower` runs at 25 Hz or
+            more.
         comm_timeout: Time without positions or without commands after which a `Loop` raises [s],
             at most 60.
         power_budget: Thermal and supply limits; None: the default.
