@@ -7,6 +7,7 @@ from mismatch import Mismatch, Parameters
 
 import pliant
 from pliant.arm import Arm, GripperConfig
+from pliant.arm.gripper import Gripper
 from pliant.drive import ServoStatus
 from pliant.sim import Plant, SimDrive
 
@@ -293,13 +294,75 @@ def test_limit_and_lever_of_a_gripper_are_checked():
             GripperConfig(**options)
 
 
+def gripper_of(robot="so101", *, overload=1.0, at=0.0, **options):
+    """Return the gripper of a model without a drive, and the list of its orders."""
+    orders, model = [], pliant.robots.load(robot)
+    (name,) = {j.name for j in model.joints if j.kind != "fixed"} - set(model.joint_names)
+    gripper = Gripper(
+        name,
+        GripperConfig(**options),
+        model,
+        max_limit=2.0,
+        overload=overload,
+        order=lambda *order: orders.append(order[1:]),
+        measure=lambda _: at,
+    )
+    return gripper, orders
+
+
+@pytest.mark.parametrize(
+    ("options", "limit"),
+    [
+        ({}, 0.3 * 2.0),
+        ({"overload": 0.2}, 0.9 * 0.2 * 2.0),
+        ({"overload": 0.2, "limit": 1.5}, 1.5),
+        ({"limit": 2.5}, 2.0),
+    ],
+)
+def test_a_gripper_closes_with_its_default_limit(options, limit):
+    gripper, orders = gripper_of(opened=1.5, closed=-0.1, **options)
+    gripper.close()
+    gripper.open()
+    gripper.close(1.2)
+    for position in (9.0, -9.0, 0.4):
+        gripper.go(position)
+    assert orders[:3] == [(-0.1, pytest.approx(limit)), (1.5, pytest.approx(limit)), (-0.1, 1.2)]
+    assert [goal for goal, _ in orders[3:]] == [1.5, -0.1, 0.4]
+
+
+@pytest.mark.parametrize("closed", [-0.1, 3.0])
+def test_a_grip_force_acts_at_the_lever(closed):
+    gripper, orders = gripper_of(opened=1.5, closed=closed, lever=0.5, at=1.1)
+    gripper.close(4.0)
+    assert orders == [(closed, 2.0)]  # [N·m]
+    for force in (-0.1, 4.1, np.nan):
+        with pytest.raises(pliant.ConfigError, match="force must be between 0 and 4, got"):
+            gripper.close(force)
+    assert len(orders) == 1
+    assert gripper.width == pytest.approx(2.0 * 0.5 * np.sin(abs(1.1 - closed) / 2.0))
+    gripper._measure = lambda _: closed + 4.0  # beyond half a turn
+    assert gripper.width == pytest.approx(1.0)
+
+
+def test_the_ends_of_a_gripper_come_from_the_model_or_the_configuration():
+    joint = next(j for j in pliant.robots.so101().joints if j.name == "gripper")
+    gripper, _ = gripper_of(at=joint.lower + 0.3)
+    assert (gripper.closed, gripper.opened) == (joint.lower, joint.upper)
+    assert gripper.width == pytest.approx(0.3)  # [rad]
+    for ends, missing in (({"closed": 0.0}, "opened"), ({"opened": 0.0}, "closed")):
+        given = {"opened": np.inf, "closed": np.inf} | ends
+        with pytest.raises(pliant.ConfigError, match=rf"GripperConfig\({missing}="):
+            gripper_of(**given)
+
+
 def test_arguments_of_an_arm_that_do_not_match_are_named(make):
     model = pliant.robots.arm7()
     drive = SimDrive(Plant(pliant.robots.so101()))
     with pytest.raises(pliant.ConfigError, match="no servo is named shoulder_pitch"):
         Arm(model, drive)
-    with pytest.raises(pliant.ConfigError, match="no joint 'claw' off the chain"):
-        make(grippers={"claw": GripperConfig()})
+    for robot, known in (("arm7", "none"), ("so101", "gripper")):
+        with pytest.raises(pliant.ConfigError, match=f"no joint 'claw' off the chain.*: {known}$"):
+            make(q=None, robot=robot, grippers={"claw": GripperConfig()})
     with pytest.raises(pliant.ConfigError, match="exit must be"):
         make(on_exit="disable_torque")
     with pytest.raises(pliant.ConfigError, match="needs one joint off the chain"):
