@@ -309,15 +309,18 @@ def test_settings_that_weaken_or_delay_a_servo_are_noted(model, registers, expec
     ],
 )
 def test_goals_stay_in_the_range_of_the_registers(model, registers, low, high):
-    spec = {"name": "pan", "model": model[1], "id": 1}
-    with Emulator([Device(model[0], id=1, **registers)], clock="steps") as bus:
-        with ServoBus([ServoSpec(port=bus.port, **spec)], reply_timeout_min=0.1) as servo_bus:
-            goals = []
-            servo_bus.enable(servo_bus.read().position, [0.3])
-            for goal in (-3.3, 3.3):
-                servo_bus.write([goal], [0.3])
-                servo_bus.read()
-                goals.append(bus.servos[0].get("goal_position"))
+    with (
+        Emulator([Device(model[0], id=1, **registers)], clock="steps") as bus,
+        ServoBus(
+            [ServoSpec(name="pan", model=model[1], id=1, port=bus.port)], reply_timeout_min=0.1
+        ) as servo_bus,
+    ):
+        goals = []
+        servo_bus.enable(servo_bus.read().position, [0.3])
+        for goal in (-3.3, 3.3):
+            servo_bus.write([goal], [0.3])
+            servo_bus.read()
+            goals.append(bus.servos[0].get("goal_position"))
     assert goals == [low, high]
 
 
