@@ -1,12 +1,16 @@
 """The life cycle of an arm: order of commands, exits, off-chain joints, errors."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from bare_arm import bare_arm
 from mismatch import Mismatch, Parameters
 
 import pliant
-from pliant.arm import Arm, GripperConfig
+from pliant._core import JointReadings
+from pliant.arm import Arm, Budget, GripperConfig
+from pliant.arm._io import RESUME_READS, ArmIO, JointMap, LowTorqueWarning
 from pliant.arm.gripper import Gripper
 from pliant.drive import ServoStatus
 from pliant.sim import Plant, SimDrive
@@ -431,3 +435,162 @@ def test_connect_names_an_invalid_arm():
     for nothing in (42, None):
         with pytest.raises(pliant.ConfigError, match="cannot connect to"):
             pliant.connect(nothing)
+
+
+class Drive:
+    """Drive of an SO-101 in simulated time whose replies and registers a test sets.
+
+    Attributes:
+        silent: Indices of the joints that do not answer.
+        calls: Watchdog times and the word `write`, in order.
+    """
+
+    latency = 0.004
+
+    def __init__(self):
+        model = pliant.robots.so101()
+        self.model, self.names = model, (*model.joint_names, "gripper")
+        self.servos = SimDrive(Plant(model)).servos
+        self.position, self.silent, self.reads = np.full(6, 0.1), set(), 0
+        self.enabled, self.goals, self.limits = np.ones(6, dtype=bool), np.zeros(6), np.zeros(6)
+        self.time, self.calls, self.clock = 100.0, [], self
+
+    def now(self):
+        return self.time
+
+    def wait_until(self, deadline):
+        self.time = deadline
+
+    def read(self):
+        self.reads += 1
+        is_silent = np.isin(np.arange(6), list(self.silent))
+        return JointReadings(np.where(is_silent, np.nan, self.position), ~is_silent, self.time)
+
+    def reopen(self):
+        unknown = np.isin(np.arange(6), list(self.silent))
+        return np.where(unknown, np.nan, self.goals), np.where(unknown, np.nan, self.limits)
+
+    def watchdog(self, seconds):
+        self.calls.append(seconds)
+
+    def write(self, *_):
+        self.calls.append("write")
+
+    def poll_status(self):
+        return None
+
+
+@pytest.fixture
+def io():
+    drive = Drive()
+    return ArmIO(drive.model, drive, Budget())
+
+
+def test_an_arm_is_resumed_with_the_commands_in_its_registers(io):
+    drive = io.drive
+    drive.goals, drive.limits = np.linspace(0.2, 0.7, 6), np.linspace(1.0, 1.5, 6)
+    drive.silent, drive.enabled = {1}, np.array([True, True, False, True, True, True])
+    drive.goals[2] = drive.limits[2] = np.nan  # its torque is off
+    assert io.resume(100.0)
+    # All answer within a few reads, or one is given up.
+    assert drive.reads == RESUME_READS + 1
+    assert drive.time == pytest.approx(100.0 + 0.01 * RESUME_READS)
+    assert io.unknown_joints() == ["shoulder_lift"]
+    assert io.goal == pytest.approx([0.2, np.nan, 0.1, 0.5, 0.6], nan_ok=True)
+    assert io.limit == pytest.approx([1.0, 0.0, 0.0, 1.3, 1.4])
+    assert io.orders == {"gripper": (pytest.approx(0.7), pytest.approx(1.5))}
+    assert not io.resume_silent()
+    drive.silent = set()
+    io.sample()
+    drive.goals[0] = 9.0  # of a joint that was known
+    assert io.resume_silent()
+    assert not io.unknown_joints()
+    assert (io.goal[:2], io.limit[:2]) == (pytest.approx([0.2, 0.3]), pytest.approx([1.0, 1.1]))
+    assert not io.resume_silent()
+
+
+@pytest.mark.parametrize(("enabled", "has_torque"), [(False, False), (True, True)])
+def test_an_arm_without_torque_is_not_resumed(io, enabled, has_torque):
+    io.drive.goals[:] = io.drive.limits[:] = np.nan
+    io.drive.enabled[:] = False
+    io.drive.enabled[5] = enabled
+    assert io.resume(100.0) is has_torque
+    assert io.drive.reads == 1
+
+
+@pytest.mark.parametrize("access", ["read", "write"])
+def test_a_watchdog_is_armed_again_after_half_its_time(io, access):
+    """Time between two accesses [s], and the calls of the second one."""
+    io.orders = {"gripper": (0.0, 0.1)}
+    io.read()
+
+    def act():
+        io.read() if access == "read" else io.send(np.zeros(5), np.ones(5))
+
+    own = ["write"] if access == "write" else []
+    for seconds, expected in ((0.1, []), (0.12, [0.0, 0.2])):
+        io.set_watchdog(0.2)
+        io.drive.calls.clear()
+        io.drive.time += seconds
+        act()
+        assert io.drive.calls == expected + own
+    io.set_watchdog(0.0)
+    io.drive.calls.clear()
+    io.drive.time += 9.0
+    act()
+    assert io.drive.calls == own
+
+
+def test_a_watchdog_is_armed_again_after_a_silence_of_the_servos(io):
+    io.set_watchdog(0.2)
+    io.drive.calls.clear()
+    for silent in ({*range(6)}, {*range(6)}, {0}, set()):
+        io.drive.silent = silent
+        io.drive.time += 0.06
+        io.read()
+    assert io.drive.calls == [0.0, 0.2]
+
+
+def test_the_age_of_positions_is_that_of_the_newest_and_of_the_drive(io):
+    io.read()
+    io.drive.silent, io.drive.time = {0}, 100.03
+    io.read()
+    assert io.delay(100.05) == pytest.approx(0.02 + 0.004)
+    assert io.delay(100.0) == pytest.approx(0.004)
+
+
+@pytest.mark.parametrize(
+    ("names", "chain", "is_view"),
+    [
+        ("a b c d", [1, 2], True),
+        ("b c a d", [0, 1], True),
+        ("c b a d", [1, 0], False),
+        ("b a c d", [0, 2], False),
+    ],
+)
+def test_joints_are_matched_by_name(names, chain, is_view):
+    model = SimpleNamespace(joint_names=["b", "c"], velocity_limit=[3.0, np.inf])
+    joints = JointMap(model, SimpleNamespace(names=names.split()))
+    values = np.arange(4.0)
+    assert joints.chain.tolist() == chain == values[joints.select].tolist()
+    assert np.shares_memory(values[joints.select], values) is is_view
+    assert sorted(joints.extra) == ["a", "d"]
+    speeds = dict(zip(names.split(), joints.max_speeds(model), strict=True))
+    assert speeds == {"a": 10.0, "b": 3.0, "c": 10.0, "d": 10.0}
+    both = joints.join(np.array([1.0, 2.0]), np.array([3.0, 4.0]))
+    assert (both[joints.chain].tolist(), both[joints.off_chain].tolist()) == ([1, 2], [3, 4])
+
+
+def test_the_joint_that_lacks_most_torque_is_warned_of_once():
+    servos = SimpleNamespace(friction=[0.1, 0.1, 2.0])
+    low = LowTorqueWarning(SimpleNamespace(joint_names=["a", "b", "c"]), servos)
+    limit, gravity = np.array([0.4, 0.1, 0.4]), np.array([-1.0, 1.0, 1.5])
+    for begin in (0.0, 1.0, 2.0):  # each time too short
+        low.check(limit, gravity, begin)
+        low.check(limit, gravity, begin + 0.19)
+        low.reset() if begin == 0.0 else low.check(np.ones(3), gravity, begin + 0.3)
+    low.check(limit, gravity, 3.0)
+    with pytest.warns(RuntimeWarning, match=r"^b may exert 0\.1 N·m, and this pose needs 1:"):
+        low.check(limit, gravity, 3.21)
+    low.check(limit, gravity, 9.0)
+    low.check(limit, gravity, 9.9)
