@@ -1,5 +1,8 @@
 """The life cycle of an arm: order of commands, exits, off-chain joints, errors."""
 
+import logging
+import os
+import signal
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,9 +11,11 @@ from bare_arm import bare_arm
 from mismatch import Mismatch, Parameters
 
 import pliant
+import pliant.arm.arm
 from pliant._core import JointReadings
 from pliant.arm import Arm, Budget, GripperConfig
 from pliant.arm._io import RESUME_READS, ArmIO, JointMap, LowTorqueWarning
+from pliant.arm._messages import MESSAGES, Message
 from pliant.arm.gripper import Gripper
 from pliant.drive import ServoStatus
 from pliant.sim import Plant, SimDrive
@@ -473,11 +478,14 @@ class Drive:
     def watchdog(self, seconds):
         self.calls.append(seconds)
 
-    def write(self, *_):
-        self.calls.append("write")
-
     def poll_status(self):
         return None
+
+    def __getattr__(self, name):
+        """Return a method that only records its call."""
+        if name not in {"open", "close", "enable", "disable", "write"}:
+            raise AttributeError(name)
+        return lambda *_, **__: self.calls.append(name)
 
 
 @pytest.fixture
@@ -507,6 +515,149 @@ def test_an_arm_is_resumed_with_the_commands_in_its_registers(io):
     assert not io.unknown_joints()
     assert (io.goal[:2], io.limit[:2]) == (pytest.approx([0.2, 0.3]), pytest.approx([1.0, 1.1]))
     assert not io.resume_silent()
+
+
+@pytest.fixture
+def quick(monkeypatch, io):
+    """Return an arm whose torque comes on, and whose descent ends, at once; record its messages."""
+    io.drive.enabled[:] = False
+    arm = Arm(io.model, io.drive, watchdog=0.3, rest_q=np.zeros(5), comm_timeout=0.7)
+    arm.texts, arm.descents, arm.is_down, arm.error = [], [], True, None
+
+    def descend(io, rest, rate, is_aborted, *, on_tick):
+        arm.descents.append(rest)
+        arm._supervisor.heartbeat[0] = 0.0
+        on_tick(SimpleNamespace(phase="down"))
+        assert arm._supervisor.heartbeat[0] > 0.0  # seen by the guardian
+        assert arm._supervisor.heartbeat[1] == 0.7
+        if arm.error is not None:
+            raise arm.error
+        return arm.is_down
+
+    def post(text, level=logging.INFO, **_):
+        arm.texts.append((text, level))
+        return Message(text, level)
+
+    monkeypatch.setattr(pliant.arm.arm, "descend", descend)
+    monkeypatch.setattr(pliant.arm.arm, "transfer_weight", lambda *_: np.zeros(5))
+    monkeypatch.setattr(MESSAGES, "post", post)
+    return arm
+
+
+def test_an_arm_goes_through_its_life(quick):
+    handler = signal.getsignal(signal.SIGINT)
+    assert "torque off" in repr(quick)
+    with quick:
+        assert "torque on" in repr(quick)
+        assert quick.drive.calls == ["open", "enable", 0.3]
+        assert quick._supervisor.heartbeat[1] == 0.0
+        assert signal.getsignal(signal.SIGINT) != handler
+        quick.enable()  # changes nothing
+        quick.open()
+        quick.drive.calls.clear()
+    assert quick.drive.calls == [0.0, "disable", "close"]
+    assert quick.descents[0].tolist() == [0.0] * 5
+    assert [level for _, level in quick.texts] == [logging.DEBUG] * 2
+    assert signal.getsignal(signal.SIGINT) == handler
+    assert not quick.enabled
+    assert "torque off" in repr(quick)
+
+
+def test_a_slow_bus_and_a_wrong_stiffness_are_warned_of_at_torque_on(quick, monkeypatch):
+    monkeypatch.setattr(pliant.arm.arm, "stiffness_mismatch", lambda *_: "elbow: too soft")
+    read = quick.drive.read
+    quick.drive.read = lambda: (read(), quick.drive.wait_until(quick.drive.time + 0.02))[0]
+    quick.enable()
+    assert [text.partition(":")[0] for text, _ in quick.texts] == [
+        "reading all joints takes 20 ms, a period at 100 Hz 10 ms",
+        "elbow",
+    ]
+    assert {level for _, level in quick.texts} == {logging.WARNING}
+    quick.disable_torque()
+
+
+def test_an_aborted_descent_holds_the_arm_and_says_so(quick):
+    quick.is_down = False
+    quick.enable()
+    quick.drive.calls.clear()
+    quick.lower()
+    assert quick.drive.calls == ["write", 0.0]
+    assert "torque ON" in quick.texts[-1][0]
+    assert quick.texts[-1][1] == logging.WARNING
+
+
+@pytest.mark.parametrize(
+    ("error", "text"),
+    [
+        (pliant.ServoError("gone"), "the bus is gone"),
+        (pliant.ServoFaultError("rejected"), "(ServoFaultError: rejected): torque is ON in elbow"),
+        (ZeroDivisionError("a bug"), "(ZeroDivisionError: a bug): torque is ON in elbow"),
+    ],
+)
+def test_a_failed_descent_holds_the_arm_and_names_its_joints(quick, error, text):
+    quick.enable()
+    quick.error = error
+    quick.drive.enabled[2] = True
+    quick.drive.calls.clear()
+    with pytest.raises(type(error)):
+        quick.lower()
+    assert quick.drive.calls == ["write", 0.0]
+    assert text in quick.texts[-1][0]
+    assert not quick.enabled
+
+
+def test_an_error_of_the_program_carries_how_the_arm_was_left(quick):
+    with pytest.raises(KeyError) as caught, quick:
+        raise KeyError("policy")
+    (note,) = caught.value.__notes__
+    assert "was lowered: torque OFF" in note
+    quick.error = pliant.ServoError("gone")
+    with pytest.raises(KeyError) as caught, quick:
+        raise KeyError("policy")
+    assert caught.value.__notes__ == ["while the arm was being lowered: gone"]
+    with pytest.raises(pliant.ServoError, match="gone"), quick:
+        pass
+
+
+@pytest.mark.parametrize("has_torque", [False, True])
+@pytest.mark.parametrize("on_exit", ["lower", "leave_enabled"])
+def test_the_guardian_ends_a_program_with_torque_as_configured(quick, has_torque, on_exit):
+    quick._on_exit = on_exit
+    quick.drive.goals[:] = 0.1 if has_torque else np.nan
+    quick.drive.enabled[:] = has_torque
+    quick._resume("the program has ended")
+    assert len(quick.descents) == (has_torque and on_exit == "lower")
+    assert ("disable" in quick.drive.calls) is (not has_torque or on_exit == "lower")
+    assert (quick.drive.calls == ["write", 0.0]) is (has_torque and on_exit == "leave_enabled")
+    first = quick.texts[0][0] if has_torque else ""
+    if has_torque and on_exit == "lower":
+        assert f"lowered (the program has ended). `kill -9 {os.getpid()}` leaves" in first
+    assert not quick.enabled
+
+
+def test_an_arm_is_lowered_at_the_end_of_the_interpreter(quick):
+    quick.enable()
+    quick._at_exit()
+    assert "lowered (the program ends)" in quick.texts[0][0]
+    assert quick.drive.calls[-1] == "close"
+    quick._at_exit()
+    assert len(quick.descents) == 1
+
+
+@pytest.mark.parametrize("is_enabled", [False, True])
+def test_a_signal_before_signals_are_held_back_lowers_the_arm_too(quick, is_enabled):
+    if is_enabled:
+        quick.enable()
+    hold = quick._signals.hold
+
+    def interrupted():
+        quick._signals.hold = hold
+        raise KeyboardInterrupt
+
+    quick._signals.hold = interrupted
+    with pytest.raises(KeyboardInterrupt):
+        quick.close()
+    assert len(quick.descents) == is_enabled
 
 
 @pytest.mark.parametrize(("enabled", "has_torque"), [(False, False), (True, True)])
