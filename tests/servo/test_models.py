@@ -181,6 +181,13 @@ def test_identified_gears_resemble_the_estimated_ones(name):
         assert 0.35 < ratio < (1.5 if field == "friction" else largest), field
 
 
+@pytest.mark.parametrize("name", ["MX-28", "MX-64", "MX-106"])
+def test_both_protocols_of_a_servo_have_one_motor(name):
+    first, second = get_model(name), get_model(f"{name}(2.0)")
+    for field in ("stall", "no_load", "mechanics", "rated", "voltage", "counts_per_turn"):
+        assert getattr(first, field) == getattr(second, field), field
+
+
 def test_variants_of_a_servo_differ_by_their_gear_ratio():
     full = get_model("STS3215-7.4V")
     for name in ("STS3215-7.4V-191", "STS3215-7.4V-147"):
