@@ -11,7 +11,7 @@ from pliant._core import ServoCodec
 from pliant.emulator import Device, Emulator, ManualClock
 from pliant.servo import BusError, ServoBus, ServoSpec
 from pliant.servo import _device as driver
-from pliant.servo._port import Port
+from pliant.servo._port import Port, StatusPoller, latency_timer
 from pliant.servo._transactions import TransactionGuard
 from pliant.servo.bus import check_agreement
 
@@ -544,3 +544,80 @@ def test_only_servos_with_torque_get_commands(fake_bus, model):
             assert not is_enabled or (device.goal, device.limit) == (goal, limit)
     with pytest.raises(ShapeError):
         chain.port.write(([0.1] * 2, [0.2] * 3, None, 0.0))
+
+
+@pytest.mark.parametrize("model", [*SYNC_READ, "MX-64"])
+def test_status_is_read_in_turn_and_first_of_a_servo_with_a_fault(fake_bus, model):
+    chain = Chain(fake_bus, model, "p2")
+    poller = StatusPoller([[device] for device in chain.devices])
+    for device in chain.devices:
+        chain.put(device.id, temperature=30 + device.id)
+
+    def names(count):
+        found = []
+        for _ in range(count):
+            chain.port.guard.start_cycle()
+            status = poller.step({id(device): chain.port for device in chain.devices})
+            if status is not None:
+                found.append(status.name)
+                assert status.temperature in {30.0 + int(status.name[-1]), None}
+        return found
+
+    family = chain.devices[0].family
+    turn = [f"joint{i}" for i in (1, 2, 3) for _ in family.status_blocks]
+    # With Protocol 2.0, every third step reads the torque of all servos.
+    steps = 3 if family.status == "p2" else 2
+    assert names(len(turn) * steps) == turn * 2
+    chain.devices[2].fault("jump", True, "jumped")
+    assert names(steps)[0] == "joint3"
+
+
+def test_torque_of_all_servos_is_read_in_every_third_step(fake_bus):
+    chain = Chain(fake_bus, "XM430-W350", "p2")
+    poller = StatusPoller([[device] for device in chain.devices])
+    ports, seen = {id(device): chain.port for device in chain.devices}, []
+    chain.devices[0].enabled = False
+    for _ in range(6):
+        chain.bus.calls.clear()
+        poller.step(ports)
+        seen += [call[1] for call in chain.bus.calls if call[0] == "sync_read"]
+    assert seen == [(2, 3)] * 2
+    chain.put(3, torque_enable=0)
+    statuses = [poller.step(ports) for _ in range(3)]
+    assert statuses[-1].name == "joint3"
+    assert "torque went off" in statuses[-1].faults[0]
+    assert not chain.devices[2].enabled
+
+
+@pytest.mark.parametrize(("text", "seconds"), [("16\n", 0.016), ("?", None), (None, None)])
+def test_the_latency_timer_of_an_adapter(monkeypatch, tmp_path, text, seconds):
+    folder = tmp_path / "sys/bus/usb-serial/devices/ttyUSB0"
+    folder.mkdir(parents=True)
+    if text is not None:
+        (folder / "latency_timer").write_text(text)
+    monkeypatch.setattr("pliant.servo._port.Path", lambda path: tmp_path / path.lstrip("/"))
+    assert latency_timer("/dev/ttyUSB0") == seconds
+
+
+def test_a_reopened_bus_has_the_commands_of_the_servos_that_answer(emulated, enabled, monkeypatch):
+    monkeypatch.setattr("pliant.servo._enable.RESUME_TIME", 0.02)
+    with emulated("sts", 2, clock="steps") as (bus, servo_bus):
+        limit = enabled(servo_bus)
+        servo_bus.write([0.2, -0.3], limit)
+        servo_bus.read()
+        copy = servo_bus.closed_copy()
+        servo_bus.close()
+        bus.unplug(2)
+        goals, limits = copy.reopen()
+        assert goals == pytest.approx([0.2, np.nan], abs=0.002, nan_ok=True)
+        assert limits == pytest.approx([limit[0], np.nan], rel=0.01, nan_ok=True)
+        assert copy.torque_unknown.tolist() == [False, True]
+        assert copy.enabled.tolist() == [True, True]
+        copy.write([0.1, 0.1], limit)
+        copy.read()
+        goal = [copy._joints[i][0].angle(bus.servos[i].get("goal_position")) for i in range(2)]
+        assert goal == pytest.approx([0.1, -0.3], abs=0.002)
+        copy.close()
+        bus.unplug(1)
+        with pytest.raises(ServoError, match="no answer from joint0, joint1: torque may be on"):
+            copy.reopen()
