@@ -309,6 +309,10 @@ def test_two_servos_of_a_joint_disagree_only_about_angles_that_were_read():
 def test_a_port_and_its_requests_have_the_settings_of_the_bus(fake_bus):
     spec = ServoSpec(name="pan", model="MX-64", id=253, port="p")
     assert ServoBus([spec])._cycle == 0.01
+    assert ServoBus([spec], rate=0.5)._cycle == 2.0
+    for rate in (0.0, math.nan):
+        with pytest.raises(ConfigError, match="rate must be above 0 Hz"):
+            ServoBus([spec], rate=rate)
     device, opened = driver.Device(spec, 0, 253, 1), []
     device.attach(ServoCodec(1, 1), 0)
 
@@ -607,7 +611,7 @@ def test_a_reopened_bus_has_the_commands_of_the_servos_that_answer(emulated, ena
         servo_bus.read()
         copy = servo_bus.closed_copy()
         servo_bus.close()
-        bus.unplug(2)
+        bus.faults.inject("lose", 2, count=10**6)
         goals, limits = copy.reopen()
         assert goals == pytest.approx([0.2, np.nan], abs=0.002, nan_ok=True)
         assert limits == pytest.approx([limit[0], np.nan], rel=0.01, nan_ok=True)
@@ -617,7 +621,31 @@ def test_a_reopened_bus_has_the_commands_of_the_servos_that_answer(emulated, ena
         copy.read()
         goal = [copy._joints[i][0].angle(bus.servos[i].get("goal_position")) for i in range(2)]
         assert goal == pytest.approx([0.1, -0.3], abs=0.002)
+        bus.faults.clear()
+        for _ in range(50):  # the line must be silent first
+            if not copy.torque_unknown.any():
+                break
+            copy.read()
+            goals, limits = copy.reopen()
+        assert goals == pytest.approx([0.1, -0.3], abs=0.002)
+        assert limits == pytest.approx(limit, rel=0.01)
+        assert not copy.torque_unknown.any()
         copy.close()
-        bus.unplug(1)
+        bus.faults.inject("lose", count=10**6)
         with pytest.raises(ServoError, match="no answer from joint0, joint1: torque may be on"):
             copy.reopen()
+
+
+def test_commands_of_servos_that_have_torque_at_open_are_known(emulated, enabled):
+    with emulated("sts", 3, clock="steps", is_open=False) as (bus, servo_bus):
+        for name, value in (("torque_enable", 1), ("goal_position", 2148), ("torque_limit", 300)):
+            bus.servos[1].put(name, value)
+        servo_bus.open()
+        goals, limits = servo_bus.orders
+        units = servo_bus._joints[1][0].units
+        expected = [np.nan, units.angle(2148), np.nan]
+        assert goals == pytest.approx(expected, nan_ok=True)
+        assert limits == pytest.approx([np.nan, units.torque(300), np.nan], nan_ok=True)
+        assert servo_bus.enabled.tolist() == [False, True, False]
+        enabled(servo_bus)
+        assert np.isnan(servo_bus.orders).all()

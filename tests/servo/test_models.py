@@ -73,7 +73,7 @@ SIGNS = {None: "unsigned", 0: "twos", 10: "bit10", 11: "bit11", 15: "bit15"}
 OTHER_SIGNS = {"position_min", "position_max", "goal", "position", "watchdog"}
 #: Registers that the driver does not use in some families that have them.
 NOT_USED = {"current", "goal_velocity", "lock", "punch", "pwm_goal"}
-#: Largest scatter of no-load speed and of stall torque over voltage in data sheets that differ more.
+#: Largest scatter of no-load speed and stall torque over voltage, in data sheets with a larger one.
 SCATTERS = {
     "XH540-W270": (1.05, 1.09),
     "XL330-M077": (1.03, 1.3),
