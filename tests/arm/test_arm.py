@@ -563,6 +563,28 @@ def test_an_arm_goes_through_its_life(quick):
     assert "torque off" in repr(quick)
 
 
+@pytest.mark.parametrize(
+    ("step", "error", "stays"),
+    [
+        ("_start_guardian", pliant.ServoError("not started"), False),
+        ("_start_guardian", KeyboardInterrupt(), False),
+        ("enable", pliant.ServoError("a joint moved"), False),
+        ("enable", KeyboardInterrupt(), True),  # torque may be on: the arm is lowered next
+    ],
+)
+def test_a_failure_at_torque_on_ends_the_control_of_the_arm(quick, monkeypatch, step, error, stays):
+    def fail(*_, **__):
+        raise error
+
+    handler = signal.getsignal(signal.SIGINT)
+    monkeypatch.setattr(quick.drive if step == "enable" else quick, step, fail, raising=False)
+    with pytest.raises(type(error)):
+        quick.enable()
+    assert quick.enabled is stays
+    assert (signal.getsignal(signal.SIGINT) == handler) is not stays
+    quick.disable_torque()
+
+
 def test_a_slow_bus_and_a_wrong_stiffness_are_warned_of_at_torque_on(quick, monkeypatch):
     monkeypatch.setattr(pliant.arm.arm, "stiffness_mismatch", lambda *_: "elbow: too soft")
     read = quick.drive.read
@@ -730,6 +752,35 @@ def test_joints_are_matched_by_name(names, chain, is_view):
     assert speeds == {"a": 10.0, "b": 3.0, "c": 10.0, "d": 10.0}
     both = joints.join(np.array([1.0, 2.0]), np.array([3.0, 4.0]))
     assert (both[joints.chain].tolist(), both[joints.off_chain].tolist()) == ([1, 2], [3, 4])
+
+
+def test_a_drive_whose_joints_do_not_match_is_named():
+    model = SimpleNamespace(joint_names=["b", "c"], name="robot", base="base", tip="tip")
+    for names, message in (
+        ("b c b", "two servos have one joint name: b, c, b"),
+        ("c d", "named b"),
+    ):
+        with pytest.raises(pliant.ConfigError, match=message):
+            JointMap(model, SimpleNamespace(names=names.split()))
+
+
+def test_a_joint_that_jumps_or_overheats_is_a_fault(io):
+    io.read()
+    for seconds in range(1, 4):
+        assert not io.faults()
+        io.drive.time += 0.01
+        io.drive.position = np.full(6, 0.1) + np.array([0.0, 2.0 + seconds, 0.0, 0.0, 0.0, 0.0])
+        io.read()
+    (fault,) = io.faults()
+    assert fault.startswith("shoulder_lift: its position jumped by")
+    io.thermal.set_temperature(4, 99.0)
+    assert io.faults()[1].startswith("wrist_roll is at 99 °C")
+    io._update_status(ServoStatus("elbow_flex", 12.0, 40.0, ("elbow_flex: overload",)))
+    assert "elbow_flex: overload" in io.faults()
+    assert (io.read().voltage[2], io.read().temperature[2]) == (12.0, 40.0)
+    io._update_status(ServoStatus("elbow_flex", 11.0, 41.0, ()))
+    assert "elbow_flex: overload" not in io.faults()
+    assert (io.read().voltage[2], io.read().temperature[2]) == (11.0, 41.0)
 
 
 def test_the_joint_that_lacks_most_torque_is_warned_of_once():

@@ -714,3 +714,74 @@ def test_the_arm_of_a_guardian_handles_no_signals_and_starts_no_other(monkeypatc
     assert error is None
     assert _guardian_process._build(pickle.dumps("bus"))[0] is None
     assert "UnpicklingError" in _guardian_process._build(b"bus")[1]
+
+
+@pytest.mark.parametrize(
+    ("answer", "message"),
+    [
+        (None, None),
+        ("TypeError: wrong", "did not start: TypeError: wrong"),
+        ("silence", "did not start: it did not answer"),
+        (EOFError(), "did not start: it did not answer"),
+        (BrokenPipeError(), "did not start: it did not answer"),
+    ],
+)
+def test_a_guardian_that_does_not_watch_is_reported(answer, message):
+    class Line:
+        def send(self, content):
+            sent.append(content)
+            if isinstance(answer, OSError):
+                raise answer
+
+        def poll(self, seconds):
+            return answer != "silence"
+
+        def recv(self):
+            if isinstance(answer, Exception):
+                raise answer
+            return answer
+
+        def close(self):
+            sent.append("closed")
+
+    guardian, sent = object.__new__(Guardian), []
+    guardian._line, guardian._drive = Line(), None
+    drive = SimpleNamespace(closed_copy=lambda: "copy")
+    if message is None:
+        guardian.watch(drive, {"rate": 50.0})
+        assert guardian._drive is drive
+    else:
+        with pytest.raises(pliant.ServoError, match=message):
+            guardian.watch(drive, {"rate": 50.0})
+        assert guardian._drive is None
+    assert pickle.loads(sent[0]) == ("copy", {"rate": 50.0})
+
+
+@pytest.mark.parametrize("found", [None, ("arm", "because")])
+def test_the_process_of_the_guardian_takes_over_what_it_found(monkeypatch, found):
+    calls, ignored = [], {}
+    ours, theirs = os.pipe()
+    memory = os.memfd_create("heartbeat")
+    os.truncate(memory, 16)
+    monkeypatch.setattr(signal, "signal", ignored.__setitem__)
+    monkeypatch.setattr(_guardian_process, "_set_policy", calls.append)
+    monkeypatch.setattr(_guardian_process, "take_over", lambda *arguments: calls.append(arguments))
+
+    def watch(program, line):
+        calls.append((program.pid, line.fileno(), tuple(program._heartbeat)))
+        line.close()
+        return found
+
+    monkeypatch.setattr(_guardian_process, "watch", watch)
+    _guardian_process.main([str(os.getppid()), str(theirs), str(memory)])
+    os.close(ours)
+    os.close(memory)
+    assert calls[:2] == ["SCHED_BATCH", (os.getppid(), theirs, (0.0, 0.0))]
+    assert {signal.SIGINT, signal.SIGTERM, signal.SIGHUP} < ignored.keys()
+    assert set(ignored.values()) == {signal.SIG_IGN}
+    if found is None:
+        assert len(calls) == 2
+    else:
+        policy, (*arm_and_reason, program) = calls[2:]
+        assert (policy, tuple(arm_and_reason)) == ("SCHED_OTHER", found)
+        assert program.pid == os.getppid()
