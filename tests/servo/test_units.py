@@ -87,8 +87,9 @@ def test_a_gear_turns_slower_and_pushes_harder():
     assert geared.stiffness(32) == pytest.approx(4 * direct.stiffness(32))
 
 
-def test_the_smallest_compliance_slope_is_one_count():
-    servo = joint("RX-64")
+@pytest.mark.parametrize("name", ["RX-64", "EX-106+"])
+def test_the_smallest_compliance_slope_is_one_count(name):
+    servo = joint(name)
     assert servo.stiffness(0) == servo.stiffness(1) == pytest.approx(2 * servo.stiffness(2))
 
 
