@@ -478,6 +478,13 @@ def test_a_signal_while_torque_comes_on_does_not_drop_the_arm(kind, number, expe
         assert not any(servo.enabled for servo in bus.servos)
 
 
+class Image(dict):
+    """Registers of a servo by name, 0 if absent, with the time of their reading [s]."""
+
+    def __missing__(self, name):
+        return 0
+
+
 @pytest.mark.parametrize(
     ("counts", "speed", "seconds", "limit", "is_still"),
     [
@@ -506,13 +513,6 @@ def test_a_joint_may_fall_and_sag_but_not_jump_as_torque_comes_on(
     moved = abs(counts) * device.units.count
     with pytest.raises(ServoError, match=f"pan moved by {moved:.2f} rad"):
         _enable._check_still(device, before, after)
-
-
-class Image(dict):
-    """Registers of a servo by name, 0 if absent, with the time of their reading [s]."""
-
-    def __missing__(self, name):
-        return 0
 
 
 @pytest.mark.parametrize(("pings", "returns"), [(1, True), (30, True), (10**6, False)])

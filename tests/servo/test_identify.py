@@ -279,12 +279,13 @@ def test_a_supply_fits_both_data_sheet_and_eeprom(limits, volts, fits):
 def test_settings_that_weaken_or_delay_a_servo_are_noted(model, registers, expected):
     quiet = {} if model == STS else {"shutdown": 0b10100, "return_delay_time": 0}
     mode = {"operating_mode": 5} if model == XM else {}
-    enabled = registers.pop("torque_enable", 0)
-    with Emulator([Device(model[0], id=1, **quiet | mode | registers)], clock="steps") as bus:
-        bus.servos[0].put("torque_enable", enabled)
+    enabled = registers == {"torque_enable": 1}  # in RAM: a new servo has no torque
+    eeprom = quiet | mode | ({} if enabled else registers)
+    with Emulator([Device(model[0], id=1, **eeprom)], clock="steps") as bus:
+        bus.servos[0].put("torque_enable", int(enabled))
         found = opened(bus, {**PAN, "model": model[1]}).found[0]
     assert [expected in note for note in found.notes] == [True] * (expected is not None)
-    assert found.torque_on == enabled
+    assert found.torque_on is enabled
 
 
 @pytest.mark.parametrize(
