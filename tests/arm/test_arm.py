@@ -1,12 +1,22 @@
 """The life cycle of an arm: order of commands, exits, off-chain joints, errors."""
 
+import logging
+import os
+import signal
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from bare_arm import bare_arm
 from mismatch import Mismatch, Parameters
 
 import pliant
-from pliant.arm import Arm, GripperConfig
+import pliant.arm.arm
+from pliant._core import JointReadings
+from pliant.arm import Arm, Budget, GripperConfig
+from pliant.arm._io import RESUME_READS, ArmIO, JointMap, LowTorqueWarning
+from pliant.arm._messages import MESSAGES, Message
+from pliant.arm.gripper import Gripper
 from pliant.drive import ServoStatus
 from pliant.sim import Plant, SimDrive
 
@@ -293,13 +303,75 @@ def test_limit_and_lever_of_a_gripper_are_checked():
             GripperConfig(**options)
 
 
+def gripper_of(robot="so101", *, overload=1.0, at=0.0, **options):
+    """Return the gripper of a model without a drive, and the list of its orders."""
+    orders, model = [], pliant.robots.load(robot)
+    (name,) = {j.name for j in model.joints if j.kind != "fixed"} - set(model.joint_names)
+    gripper = Gripper(
+        name,
+        GripperConfig(**options),
+        model,
+        max_limit=2.0,
+        overload=overload,
+        order=lambda *order: orders.append(order[1:]),
+        measure=lambda _: at,
+    )
+    return gripper, orders
+
+
+@pytest.mark.parametrize(
+    ("options", "limit"),
+    [
+        ({}, 0.3 * 2.0),
+        ({"overload": 0.2}, 0.9 * 0.2 * 2.0),
+        ({"overload": 0.2, "limit": 1.5}, 1.5),
+        ({"limit": 2.5}, 2.0),
+    ],
+)
+def test_a_gripper_closes_with_its_default_limit(options, limit):
+    gripper, orders = gripper_of(opened=1.5, closed=-0.1, **options)
+    gripper.close()
+    gripper.open()
+    gripper.close(1.2)
+    for position in (9.0, -9.0, 0.4):
+        gripper.go(position)
+    assert orders[:3] == [(-0.1, pytest.approx(limit)), (1.5, pytest.approx(limit)), (-0.1, 1.2)]
+    assert [goal for goal, _ in orders[3:]] == [1.5, -0.1, 0.4]
+
+
+@pytest.mark.parametrize("closed", [-0.1, 3.0])
+def test_a_grip_force_acts_at_the_lever(closed):
+    gripper, orders = gripper_of(opened=1.5, closed=closed, lever=0.5, at=1.1)
+    gripper.close(4.0)
+    assert orders == [(closed, 2.0)]  # [N·m]
+    for force in (-0.1, 4.1, np.nan):
+        with pytest.raises(pliant.ConfigError, match="force must be between 0 and 4, got"):
+            gripper.close(force)
+    assert len(orders) == 1
+    assert gripper.width == pytest.approx(2.0 * 0.5 * np.sin(abs(1.1 - closed) / 2.0))
+    gripper._measure = lambda _: closed + 4.0  # beyond half a turn
+    assert gripper.width == pytest.approx(1.0)
+
+
+def test_the_ends_of_a_gripper_come_from_the_model_or_the_configuration():
+    joint = next(j for j in pliant.robots.so101().joints if j.name == "gripper")
+    gripper, _ = gripper_of(at=joint.lower + 0.3)
+    assert (gripper.closed, gripper.opened) == (joint.lower, joint.upper)
+    assert gripper.width == pytest.approx(0.3)  # [rad]
+    for ends, missing in (({"closed": 0.0}, "opened"), ({"opened": 0.0}, "closed")):
+        given = {"opened": np.inf, "closed": np.inf} | ends
+        with pytest.raises(pliant.ConfigError, match=rf"GripperConfig\({missing}="):
+            gripper_of(**given)
+
+
 def test_arguments_of_an_arm_that_do_not_match_are_named(make):
     model = pliant.robots.arm7()
     drive = SimDrive(Plant(pliant.robots.so101()))
     with pytest.raises(pliant.ConfigError, match="no servo is named shoulder_pitch"):
         Arm(model, drive)
-    with pytest.raises(pliant.ConfigError, match="no joint 'claw' off the chain"):
-        make(grippers={"claw": GripperConfig()})
+    for robot, known in (("arm7", "none"), ("so101", "gripper")):
+        with pytest.raises(pliant.ConfigError, match=f"no joint 'claw' off the chain.*: {known}$"):
+            make(q=None, robot=robot, grippers={"claw": GripperConfig()})
     with pytest.raises(pliant.ConfigError, match="exit must be"):
         make(on_exit="disable_torque")
     with pytest.raises(pliant.ConfigError, match="needs one joint off the chain"):
@@ -368,3 +440,359 @@ def test_connect_names_an_invalid_arm():
     for nothing in (42, None):
         with pytest.raises(pliant.ConfigError, match="cannot connect to"):
             pliant.connect(nothing)
+
+
+class Drive:
+    """Drive of an SO-101 in simulated time whose replies and registers a test sets.
+
+    Attributes:
+        silent: Indices of the joints that do not answer.
+        calls: Watchdog times and the word `write`, in order.
+    """
+
+    latency = 0.004
+
+    def __init__(self):
+        model = pliant.robots.so101()
+        self.model, self.names = model, (*model.joint_names, "gripper")
+        self.servos = SimDrive(Plant(model)).servos
+        self.position, self.silent, self.reads = np.full(6, 0.1), set(), 0
+        self.enabled, self.goals, self.limits = np.ones(6, dtype=bool), np.zeros(6), np.zeros(6)
+        self.time, self.calls, self.clock = 100.0, [], self
+
+    def now(self):
+        return self.time
+
+    def wait_until(self, deadline):
+        self.time = deadline
+
+    def read(self):
+        self.reads += 1
+        is_silent = np.isin(np.arange(6), list(self.silent))
+        return JointReadings(np.where(is_silent, np.nan, self.position), ~is_silent, self.time)
+
+    def reopen(self):
+        unknown = np.isin(np.arange(6), list(self.silent))
+        return np.where(unknown, np.nan, self.goals), np.where(unknown, np.nan, self.limits)
+
+    def watchdog(self, seconds):
+        self.calls.append(seconds)
+
+    def poll_status(self):
+        return None
+
+    def __getattr__(self, name):
+        """Return a method that only records its call."""
+        if name not in {"open", "close", "enable", "disable", "write"}:
+            raise AttributeError(name)
+        return lambda *_, **__: self.calls.append(name)
+
+
+@pytest.fixture
+def io():
+    drive = Drive()
+    return ArmIO(drive.model, drive, Budget())
+
+
+def test_an_arm_is_resumed_with_the_commands_in_its_registers(io):
+    drive = io.drive
+    drive.goals, drive.limits = np.linspace(0.2, 0.7, 6), np.linspace(1.0, 1.5, 6)
+    drive.silent, drive.enabled = {1}, np.array([True, True, False, True, True, True])
+    drive.goals[2] = drive.limits[2] = np.nan  # its torque is off
+    assert io.resume(100.0)
+    # All answer within a few reads, or one is given up.
+    assert drive.reads == RESUME_READS + 1
+    assert drive.time == pytest.approx(100.0 + 0.01 * RESUME_READS)
+    assert io.unknown_joints() == ["shoulder_lift"]
+    assert io.goal == pytest.approx([0.2, np.nan, 0.1, 0.5, 0.6], nan_ok=True)
+    assert io.limit == pytest.approx([1.0, 0.0, 0.0, 1.3, 1.4])
+    assert io.orders == {"gripper": (pytest.approx(0.7), pytest.approx(1.5))}
+    assert not io.resume_silent()
+    drive.silent = set()
+    io.sample()
+    drive.goals[0] = 9.0  # of a joint that was known
+    assert io.resume_silent()
+    assert not io.unknown_joints()
+    assert (io.goal[:2], io.limit[:2]) == (pytest.approx([0.2, 0.3]), pytest.approx([1.0, 1.1]))
+    assert not io.resume_silent()
+
+
+@pytest.fixture
+def quick(monkeypatch, io):
+    """Return an arm whose torque comes on, and whose descent ends, at once; record its messages."""
+    io.drive.enabled[:] = False
+    arm = Arm(io.model, io.drive, watchdog=0.3, rest_q=np.zeros(5), comm_timeout=0.7)
+    arm.texts, arm.descents, arm.is_down, arm.error = [], [], True, None
+
+    def descend(io, rest, rate, is_aborted, *, on_tick):
+        arm.descents.append(rest)
+        arm._supervisor.heartbeat[0] = 0.0
+        on_tick(SimpleNamespace(phase="down"))
+        assert arm._supervisor.heartbeat[0] > 0.0  # seen by the guardian
+        assert arm._supervisor.heartbeat[1] == 0.7
+        if arm.error is not None:
+            raise arm.error
+        return arm.is_down
+
+    def post(text, level=logging.INFO, **_):
+        arm.texts.append((text, level))
+        return Message(text, level)
+
+    monkeypatch.setattr(pliant.arm.arm, "descend", descend)
+    monkeypatch.setattr(pliant.arm.arm, "transfer_weight", lambda *_: np.zeros(5))
+    monkeypatch.setattr(MESSAGES, "post", post)
+    return arm
+
+
+def test_an_arm_goes_through_its_life(quick):
+    handler = signal.getsignal(signal.SIGINT)
+    assert "torque off" in repr(quick)
+    with quick:
+        assert "torque on" in repr(quick)
+        assert quick.drive.calls == ["open", "enable", 0.3]
+        assert quick._supervisor.heartbeat[1] == 0.0
+        assert signal.getsignal(signal.SIGINT) != handler
+        quick.enable()  # changes nothing
+        quick.open()
+        quick.drive.calls.clear()
+    assert quick.drive.calls == [0.0, "disable", "close"]
+    assert quick.descents[0].tolist() == [0.0] * 5
+    assert [level for _, level in quick.texts] == [logging.DEBUG] * 2
+    assert signal.getsignal(signal.SIGINT) == handler
+    assert not quick.enabled
+    assert "torque off" in repr(quick)
+
+
+@pytest.mark.parametrize(
+    ("step", "error", "stays"),
+    [
+        ("_start_guardian", pliant.ServoError("not started"), False),
+        ("_start_guardian", KeyboardInterrupt(), False),
+        ("enable", pliant.ServoError("a joint moved"), False),
+        ("enable", KeyboardInterrupt(), True),  # torque may be on: the arm is lowered next
+    ],
+)
+def test_a_failure_at_torque_on_ends_the_control_of_the_arm(quick, monkeypatch, step, error, stays):
+    def fail(*_, **__):
+        raise error
+
+    handler = signal.getsignal(signal.SIGINT)
+    monkeypatch.setattr(quick.drive if step == "enable" else quick, step, fail, raising=False)
+    with pytest.raises(type(error)):
+        quick.enable()
+    assert quick.enabled is stays
+    assert (signal.getsignal(signal.SIGINT) == handler) is not stays
+    quick.disable_torque()
+
+
+def test_a_slow_bus_and_a_wrong_stiffness_are_warned_of_at_torque_on(quick, monkeypatch):
+    monkeypatch.setattr(pliant.arm.arm, "stiffness_mismatch", lambda *_: "elbow: too soft")
+    read = quick.drive.read
+    quick.drive.read = lambda: (read(), quick.drive.wait_until(quick.drive.time + 0.02))[0]
+    quick.enable()
+    assert [text.partition(":")[0] for text, _ in quick.texts] == [
+        "reading all joints takes 20 ms, a period at 100 Hz 10 ms",
+        "elbow",
+    ]
+    assert {level for _, level in quick.texts} == {logging.WARNING}
+    quick.disable_torque()
+
+
+def test_an_aborted_descent_holds_the_arm_and_says_so(quick):
+    quick.is_down = False
+    quick.enable()
+    quick.drive.calls.clear()
+    quick.lower()
+    assert quick.drive.calls == ["write", 0.0]
+    assert "torque ON" in quick.texts[-1][0]
+    assert quick.texts[-1][1] == logging.WARNING
+
+
+@pytest.mark.parametrize(
+    ("error", "text"),
+    [
+        (pliant.ServoError("gone"), "the bus is gone"),
+        (pliant.ServoFaultError("rejected"), "(ServoFaultError: rejected): torque is ON in elbow"),
+        (ZeroDivisionError("a bug"), "(ZeroDivisionError: a bug): torque is ON in elbow"),
+    ],
+)
+def test_a_failed_descent_holds_the_arm_and_names_its_joints(quick, error, text):
+    quick.enable()
+    quick.error = error
+    quick.drive.enabled[2] = True
+    quick.drive.calls.clear()
+    with pytest.raises(type(error)):
+        quick.lower()
+    assert quick.drive.calls == ["write", 0.0]
+    assert text in quick.texts[-1][0]
+    assert not quick.enabled
+
+
+def test_an_error_of_the_program_carries_how_the_arm_was_left(quick):
+    with pytest.raises(KeyError) as caught, quick:
+        raise KeyError("policy")
+    (note,) = caught.value.__notes__
+    assert "was lowered: torque OFF" in note
+    quick.error = pliant.ServoError("gone")
+    with pytest.raises(KeyError) as caught, quick:
+        raise KeyError("policy")
+    assert caught.value.__notes__ == ["while the arm was being lowered: gone"]
+    with pytest.raises(pliant.ServoError, match="gone"), quick:
+        pass
+
+
+@pytest.mark.parametrize("has_torque", [False, True])
+@pytest.mark.parametrize("on_exit", ["lower", "leave_enabled"])
+def test_the_guardian_ends_a_program_with_torque_as_configured(quick, has_torque, on_exit):
+    quick._on_exit = on_exit
+    quick.drive.goals[:] = 0.1 if has_torque else np.nan
+    quick.drive.enabled[:] = has_torque
+    quick._resume("the program has ended")
+    assert len(quick.descents) == (has_torque and on_exit == "lower")
+    assert ("disable" in quick.drive.calls) is (not has_torque or on_exit == "lower")
+    assert (quick.drive.calls == ["write", 0.0]) is (has_torque and on_exit == "leave_enabled")
+    first = quick.texts[0][0] if has_torque else ""
+    if has_torque and on_exit == "lower":
+        assert f"lowered (the program has ended). `kill -9 {os.getpid()}` leaves" in first
+    assert not quick.enabled
+
+
+def test_an_arm_is_lowered_at_the_end_of_the_interpreter(quick):
+    quick.enable()
+    quick._at_exit()
+    assert "lowered (the program ends)" in quick.texts[0][0]
+    assert quick.drive.calls[-1] == "close"
+    quick._at_exit()
+    assert len(quick.descents) == 1
+
+
+@pytest.mark.parametrize("is_enabled", [False, True])
+def test_a_signal_before_signals_are_held_back_lowers_the_arm_too(quick, is_enabled):
+    if is_enabled:
+        quick.enable()
+    hold = quick._signals.hold
+
+    def interrupted():
+        quick._signals.hold = hold
+        raise KeyboardInterrupt
+
+    quick._signals.hold = interrupted
+    with pytest.raises(KeyboardInterrupt):
+        quick.close()
+    assert len(quick.descents) == is_enabled
+
+
+@pytest.mark.parametrize(("enabled", "has_torque"), [(False, False), (True, True)])
+def test_an_arm_without_torque_is_not_resumed(io, enabled, has_torque):
+    io.drive.goals[:] = io.drive.limits[:] = np.nan
+    io.drive.enabled[:] = False
+    io.drive.enabled[5] = enabled
+    assert io.resume(100.0) is has_torque
+    assert io.drive.reads == 1
+
+
+@pytest.mark.parametrize("access", ["read", "write"])
+def test_a_watchdog_is_armed_again_after_half_its_time(io, access):
+    """Time between two accesses [s], and the calls of the second one."""
+    io.orders = {"gripper": (0.0, 0.1)}
+    io.read()
+
+    def act():
+        io.read() if access == "read" else io.send(np.zeros(5), np.ones(5))
+
+    own = ["write"] if access == "write" else []
+    for seconds, expected in ((0.1, []), (0.12, [0.0, 0.2])):
+        io.set_watchdog(0.2)
+        io.drive.calls.clear()
+        io.drive.time += seconds
+        act()
+        assert io.drive.calls == expected + own
+    io.set_watchdog(0.0)
+    io.drive.calls.clear()
+    io.drive.time += 9.0
+    act()
+    assert io.drive.calls == own
+
+
+def test_a_watchdog_is_armed_again_after_a_silence_of_the_servos(io):
+    io.set_watchdog(0.2)
+    io.drive.calls.clear()
+    for silent in ({*range(6)}, {*range(6)}, {0}, set()):
+        io.drive.silent = silent
+        io.drive.time += 0.06
+        io.read()
+    assert io.drive.calls == [0.0, 0.2]
+
+
+def test_the_age_of_positions_is_that_of_the_newest_and_of_the_drive(io):
+    io.read()
+    io.drive.silent, io.drive.time = {0}, 100.03
+    io.read()
+    assert io.delay(100.05) == pytest.approx(0.02 + 0.004)
+    assert io.delay(100.0) == pytest.approx(0.004)
+
+
+@pytest.mark.parametrize(
+    ("names", "chain", "is_view"),
+    [
+        ("a b c d", [1, 2], True),
+        ("b c a d", [0, 1], True),
+        ("c b a d", [1, 0], False),
+        ("b a c d", [0, 2], False),
+    ],
+)
+def test_joints_are_matched_by_name(names, chain, is_view):
+    model = SimpleNamespace(joint_names=["b", "c"], velocity_limit=[3.0, np.inf])
+    joints = JointMap(model, SimpleNamespace(names=names.split()))
+    values = np.arange(4.0)
+    assert joints.chain.tolist() == chain == values[joints.select].tolist()
+    assert np.shares_memory(values[joints.select], values) is is_view
+    assert sorted(joints.extra) == ["a", "d"]
+    speeds = dict(zip(names.split(), joints.max_speeds(model), strict=True))
+    assert speeds == {"a": 10.0, "b": 3.0, "c": 10.0, "d": 10.0}
+    both = joints.join(np.array([1.0, 2.0]), np.array([3.0, 4.0]))
+    assert (both[joints.chain].tolist(), both[joints.off_chain].tolist()) == ([1, 2], [3, 4])
+
+
+def test_a_drive_whose_joints_do_not_match_is_named():
+    model = SimpleNamespace(joint_names=["b", "c"], name="robot", base="base", tip="tip")
+    for names, message in (
+        ("b c b", "two servos have one joint name: b, c, b"),
+        ("c d", "named b"),
+    ):
+        with pytest.raises(pliant.ConfigError, match=message):
+            JointMap(model, SimpleNamespace(names=names.split()))
+
+
+def test_a_joint_that_jumps_or_overheats_is_a_fault(io):
+    io.read()
+    for seconds in range(1, 4):
+        assert not io.faults()
+        io.drive.time += 0.01
+        io.drive.position = np.full(6, 0.1) + np.array([0.0, 2.0 + seconds, 0.0, 0.0, 0.0, 0.0])
+        io.read()
+    (fault,) = io.faults()
+    assert fault.startswith("shoulder_lift: its position jumped by")
+    io.thermal.set_temperature(4, 99.0)
+    assert io.faults()[1].startswith("wrist_roll is at 99 °C")
+    io._update_status(ServoStatus("elbow_flex", 12.0, 40.0, ("elbow_flex: overload",)))
+    assert "elbow_flex: overload" in io.faults()
+    assert (io.read().voltage[2], io.read().temperature[2]) == (12.0, 40.0)
+    io._update_status(ServoStatus("elbow_flex", 11.0, 41.0, ()))
+    assert "elbow_flex: overload" not in io.faults()
+    assert (io.read().voltage[2], io.read().temperature[2]) == (11.0, 41.0)
+
+
+def test_the_joint_that_lacks_most_torque_is_warned_of_once():
+    servos = SimpleNamespace(friction=[0.1, 0.1, 2.0])
+    low = LowTorqueWarning(SimpleNamespace(joint_names=["a", "b", "c"]), servos)
+    limit, gravity = np.array([0.4, 0.1, 0.4]), np.array([-1.0, 1.0, 1.5])
+    for begin in (0.0, 1.0, 2.0):  # each time too short
+        low.check(limit, gravity, begin)
+        low.check(limit, gravity, begin + 0.19)
+        low.reset() if begin == 0.0 else low.check(np.ones(3), gravity, begin + 0.3)
+    low.check(limit, gravity, 3.0)
+    with pytest.warns(RuntimeWarning, match=r"^b may exert 0\.1 N·m, and this pose needs 1:"):
+        low.check(limit, gravity, 3.21)
+    low.check(limit, gravity, 9.0)
+    low.check(limit, gravity, 9.9)

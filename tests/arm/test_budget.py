@@ -1,5 +1,8 @@
 """Limits by heat, temperature and supply current: they decrease before the servos shut down."""
 
+import re
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -30,6 +33,24 @@ def test_a_hot_servo_gets_less_then_none():
     it.set_temperature(1, 69.0)
     assert it.torque_ceiling() == pytest.approx([5.0, 0.0])
     assert "b is at 69" in thermal_faults(it, ("a", "b"))[0]
+
+
+@pytest.mark.parametrize(
+    ("heat", "degrees", "expected"),
+    [
+        (1.2, 59.0, []),
+        (1.6, 59.0, ["a is at 160 % of its thermal budget"]),
+        (0.5, 68.0, ["a is at 68 °C and switches off soon"]),
+        (0.5, 67.9, []),
+        (1.6, 80.0, ["a is at 160 % of its thermal budget", "a is at 80 °C and switches off soon"]),
+    ],
+)
+def test_a_servo_beyond_its_budget_is_named_with_the_figure(heat, degrees, expected):
+    thermal = SimpleNamespace(
+        heat=[heat, 0.0], temperature=[degrees, 20.0], zero_torque_temperature=68.0
+    )
+    faults = thermal_faults(thermal, ("a", "b"))
+    assert [re.split(",|:", fault)[0] for fault in faults] == expected
 
 
 def test_the_supply_is_shared_above_the_weight():

@@ -1,9 +1,11 @@
 """End of a program: its messages; it also ends if standard error cannot be written."""
 
 import contextlib
+import io
 import logging
 import os
 import signal
+import struct
 import sys
 import textwrap
 import time
@@ -19,8 +21,10 @@ pytest.importorskip("mujoco", reason="these programs drive a simulated arm: extr
 
 import pliant
 import pliant.arm.arm
+from pliant._core import SUPPORT, torque_margin
+from pliant.arm import _shutdown
 from pliant.arm._messages import LOGGER, MESSAGES, MessageQueue, _is_enabled
-from pliant.arm._shutdown import ExitMessages
+from pliant.arm._shutdown import ExitMessages, descend, exit_cause, hold_position
 
 pytestmark = pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="signals of POSIX")
 
@@ -339,6 +343,8 @@ def test_levels_of_loggers_hold_without_a_handler(monkeypatch, own, package, low
     monkeypatch.setattr(logging.getLogger("pliant"), "level", package)
     levels = (logging.DEBUG, logging.INFO, logging.WARNING, logging.ERROR, logging.CRITICAL)
     assert [level for level in levels if _is_enabled(level)] == [v for v in levels if v >= lowest]
+    monkeypatch.setattr(logging.root.manager, "disable", logging.ERROR)
+    assert [level for level in levels if _is_enabled(level)] == [logging.CRITICAL]
     monkeypatch.setattr(LOGGER, "disabled", True)
     assert not any(map(_is_enabled, levels))
 
@@ -359,17 +365,335 @@ def test_an_error_during_the_descent_leaves_torque_on(make, grasp, monkeypatch, 
     assert "was not lowered (ZeroDivisionError: a bug): torque is ON in" in caplog.text
 
 
+@pytest.fixture
+def posted(monkeypatch):
+    """Record messages instead of writing them: level by text."""
+    levels = {}
+    monkeypatch.setattr(MESSAGES, "post", lambda text, level, **_: levels.update({text: level}))
+    return levels
+
+
 @pytest.mark.parametrize("has_signal", [False, True])
-def test_a_signal_during_the_descent_raises_the_level_of_its_message(make, monkeypatch, has_signal):
-    arm, levels = make(), {}
+def test_a_signal_during_the_descent_raises_the_level_of_its_message(make, posted, has_signal):
+    arm = make()
     arm._signals = SimpleNamespace(has_pending=has_signal, stopped=False)
     for name in ("install", "hold", "begin", "deliver", "restore"):
         setattr(arm._signals, name, lambda *_: None)
-    monkeypatch.setattr(MESSAGES, "post", lambda text, level, **_: levels.update({text: level}))
     with arm:
         pass
-    (level,) = (level for text, level in levels.items() if "was lowered: torque OFF" in text)
+    (level,) = (level for text, level in posted.items() if "was lowered: torque OFF" in text)
     assert level == (logging.WARNING if has_signal else logging.DEBUG)
+
+
+def standing(*, gravity=(0.0, 0.0), friction=0.1, up=(0.0, 0.0, 1.0), **clock):
+    """Return a part of `ArmIO` for messages: `q` is the position of the tool."""
+
+    def forward_kinematics(q):
+        base_from_tool = np.eye(4)
+        base_from_tool[:3, 3] = q
+        return base_from_tool
+
+    model = SimpleNamespace(
+        gravity_vector=-9.81 * np.asarray(up),
+        forward_kinematics=forward_kinematics,
+        joint_names=["shoulder", "elbow"],
+    )
+    return SimpleNamespace(
+        clock=SimpleNamespace(now=lambda: 100.0, **clock),
+        model=model,
+        q=np.zeros(3),
+        gravity=lambda: np.asarray(gravity),
+        servos=SimpleNamespace(friction=friction),
+    )
+
+
+@pytest.mark.parametrize(
+    ("clock", "cause", "level"),
+    [
+        ({"real_time": True}, None, logging.INFO),
+        ({"real_time": False}, None, logging.DEBUG),
+        ({}, None, logging.DEBUG),
+        ({"real_time": True}, "KeyError", logging.WARNING),
+        ({}, "KeyError", logging.WARNING),
+    ],
+)
+def test_an_unplanned_shutdown_is_a_warning_with_its_cause(
+    posted, monkeypatch, clock, cause, level
+):
+    messages = ExitMessages("arm", standing(**clock), cause)
+    messages.begin()
+    assert all((" (KeyError)" if cause else "lowered. ") in text for text in posted)
+    messages.lowered()
+    messages.left_enabled()
+    assert len(posted) == 3
+    assert set(posted.values()) == {level}
+    messages.left_enabled(stopped=True)
+    assert list(posted.values())[-1] == logging.WARNING
+    posted.clear()
+    begin = time.monotonic()
+    for seconds in (0.9, 1.1, 2.0, 2.2):
+        monkeypatch.setattr(time, "monotonic", lambda seconds=seconds: begin + seconds)
+        messages.progress(SimpleNamespace(phase=f"down at {seconds}"))
+    assert list(posted.values()) == [logging.INFO if clock.get("real_time") else logging.DEBUG] * 2
+    assert ["1.1" in text or "2.2" in text for text in posted] == [True, True]
+
+
+def test_the_announcement_tells_how_to_abort(posted):
+    messages = ExitMessages("arm", standing(), None)
+    for arguments in ({}, {"interrupted": True}, {"abort": "Closing the page leaves"}):
+        messages.begin(**arguments)
+    for text, way in zip(posted, ("Ctrl-C twice", "Ctrl-C again", "Closing the page"), strict=True):
+        assert f". {way} leaves at once, torque ON" in text
+
+
+@pytest.mark.parametrize(
+    ("gravity", "friction", "expected"),
+    [
+        ((-2.0, 1.0), 0.1, "shoulder, elbow carry it"),
+        ((0.5, 3.0), 0.1, "elbow, shoulder carry it"),
+        ((0.05, -3.0), 0.1, "elbow carries it"),
+        ((0.05, -0.09), 0.1, "no joint carries much"),
+        ((9e-4, 0.0), 0.0, "no joint carries much"),
+    ],
+)
+def test_joints_that_carry_an_arm_left_enabled_are_named(posted, gravity, friction, expected):
+    arm = standing(gravity=gravity, friction=friction)
+    assert f"torque ON: {expected}. " in ExitMessages("arm", arm, None).left_enabled()
+    assert len(posted) == 1
+
+
+@pytest.mark.parametrize(
+    ("up", "moved", "expected"),
+    [
+        ((0.0, 0.0, 1.0), (5.0, 5.0, -0.2), "tool 20 cm lower"),
+        ((0.0, 0.0, 1.0), (0.0, 0.0, 0.006), "tool 1 cm higher"),
+        ((0.0, 0.0, 1.0), (0.0, 0.0, 0.004), "tool 0 cm lower"),
+        ((1.0, 0.0, 0.0), (0.2, 5.0, 5.0), "tool 20 cm higher"),
+        ((0.0, 0.0, 1.0), (0.0, 0.0, np.nan), "height not known"),
+        ((0.0, 0.0, 1.0), "lost", "height not known"),
+    ],
+)
+def test_a_descent_is_measured_against_gravity(posted, up, moved, expected):
+    arm = standing(up=up)
+    messages = ExitMessages("arm", arm, None)
+    assert ", tool 0 cm lower, 0.0 s" in messages.lowered()
+    messages.progress(None)
+    arm.q = moved
+    assert f", {expected}, " in messages.lowered()
+
+
+@pytest.mark.parametrize(
+    ("on", "unknown", "down", "expected"),
+    [
+        (None, [], False, "was not lowered, the bus is gone"),
+        ([], [], False, "was not lowered (ValueError: why): torque is OFF"),
+        (
+            ["a", "b"],
+            [],
+            True,
+            "rests, but torque off failed (ValueError: why): torque is ON in a,",
+        ),
+        (["a", "b"], ["b"], False, "torque is ON in a and torque is not known in b. "),
+        ([], ["a", "b"], False, ": torque is not known in a, b. "),
+    ],
+)
+def test_a_failed_descent_names_joints_that_may_have_torque(posted, on, unknown, down, expected):
+    text = ExitMessages("arm", standing(), None).failed(ValueError("why"), on, unknown, down=down)
+    assert expected in text
+    assert posted == {text: logging.WARNING}
+
+
+def test_joints_with_registers_of_this_program_are_named(posted):
+    ExitMessages("arm", standing(), None).unrestored(["elbow", "wrist"])
+    ((text, level),) = posted.items()
+    assert "elbow, wrist" in text
+    assert level == logging.WARNING
+
+
+@pytest.mark.parametrize(
+    ("error", "cause"),
+    [
+        (None, None),
+        (GeneratorExit(), None),
+        (SystemExit(1), None),
+        (KeyboardInterrupt(), "Ctrl-C"),
+        (SystemExit(128 + signal.SIGTERM), "SIGTERM"),
+        (ValueError("one\ntwo"), "ValueError: one"),
+        (ValueError(), "ValueError"),
+        (ValueError("x" * 148), f"ValueError: {'x' * 148}"),
+        (ValueError("x" * 149), f"ValueError: {'x' * 145}..."),
+    ],
+)
+def test_a_shutdown_has_its_cause_in_one_short_line(error, cause):
+    assert exit_cause(error) == cause
+
+
+class Descent:
+    """A descent of an arm whose joints never move; every tick takes 10 ms, or a `stall` once [s].
+
+    Attributes:
+        made: Arguments of each `Lowering` object.
+        sent: Time and speed limit of each order.
+        answers: Number of `sample` calls after which a silent joint has answered, None: never.
+    """
+
+    phase, answers = "down", None
+
+    def __init__(self, monkeypatch, *, orders=10, is_silent=False, is_refused=False, stall=0.0):
+        self.time, self.made, self.sent, self.calls, self.samples = 100.0, [], [], [], 0
+        self.orders, self.silent, self.refused, self.stall = orders, is_silent, is_refused, stall
+        self.blind = False
+        self.model, self.servos = SimpleNamespace(n=2), None
+        self.q, self.goal, self.limit = np.zeros(2), np.ones(2), np.full(2, 3.0)
+        self.torque_unknown = np.zeros(2, dtype=bool)
+        self.clock = SimpleNamespace(now=lambda: self.time, wait_until=self.wait_until)
+        monkeypatch.setattr(_shutdown, "Lowering", self.lowering)
+
+    def lowering(self, model, servos, q, **arguments):
+        self.made.append(arguments)
+        self.left = self.orders
+        return self
+
+    def wait_until(self, deadline):
+        self.time = max(self.time, deadline)
+
+    def step(self, q, ok, *, dt, age):
+        self.left -= 1
+        assert ok.dtype == bool
+        assert ok.all() == (not self.silent)
+        if self.left == self.orders - 2:
+            self.time += self.stall
+        return None if self.left < 0 else SimpleNamespace(goal=q, torque_limit=q, speed_limit=0.1)
+
+    def sample(self):
+        self.samples += 1
+        if self.silent:
+            raise pliant.ServoError("no answer")
+        return np.ones(2, dtype=bool)
+
+    def resume_silent(self):
+        if self.samples != self.answers:
+            return False
+        self.torque_unknown[:] = False
+        return True
+
+    def unknown_joints(self):
+        return ["elbow"]
+
+    def delay(self, now):
+        return 0.0
+
+    def is_refused(self):
+        return self.refused
+
+    def set_watchdog(self, seconds):
+        self.calls.append(seconds)
+        raise pliant.ServoError("a lost reply")
+
+    def send(self, goal, limit, speed_limit):
+        self.sent.append((self.time, speed_limit))
+        raise pliant.ServoError("a lost packet")
+
+
+def test_a_descent_sends_its_orders_at_its_rate(monkeypatch):
+    run = Descent(monkeypatch, stall=0.055)
+    ticks = []
+    assert descend(run, None, 100.0, lambda: False, on_tick=ticks.append)
+    assert run.calls == [0.0]  # watchdogs off first
+    assert len(ticks) == 10
+    # Ticks that a stall delayed are not caught up with.
+    assert np.diff([time for time, _ in run.sent]) == pytest.approx([0.065, 0.0, 0.0, *[0.01] * 6])
+    assert [speed for _, speed in run.sent] == [None] * 10
+
+
+def test_a_blind_descent_limits_the_speed_of_the_servos(monkeypatch):
+    run = Descent(monkeypatch)
+    run.blind = True
+    assert descend(run, None, 100.0, lambda: False)
+    assert [speed for _, speed in run.sent] == [0.1] * 10
+
+
+def test_an_aborted_descent_leaves_torque_on(monkeypatch):
+    run = Descent(monkeypatch)
+    assert descend(run, None, 100.0, lambda: len(run.sent) == 4) is False
+
+
+def test_a_descent_ends_if_the_bus_is_silent_for_long(monkeypatch):
+    run = Descent(monkeypatch, orders=1000, is_silent=True)
+    with pytest.raises(pliant.ServoError, match="the bus is gone"):
+        descend(run, None, 100.0, lambda: False)
+    assert run.time == pytest.approx(100.0 + _shutdown.MAX_SILENCE, abs=0.011)
+
+
+def test_a_descent_whose_goals_are_rejected_starts_again_a_few_times(monkeypatch):
+    run = Descent(monkeypatch, is_refused=True)
+    with pytest.raises(pliant.ServoFaultError, match="do not take the goals"):
+        descend(run, "rest", 100.0, lambda: False)
+    assert len(run.made) == 1 + _shutdown.MAX_RESTARTS
+    assert len(run.sent) == 10 * len(run.made)
+    assert [made["rest"] for made in run.made] == ["rest"] * 3
+
+
+@pytest.mark.parametrize("phase", ["rest", "down", "ramp"])
+def test_a_descent_goes_on_from_present_goals_once_a_silent_joint_answers(monkeypatch, phase):
+    run = Descent(monkeypatch)
+    run.phase, run.answers = phase, 5
+    run.torque_unknown[0] = True
+    assert descend(run, "rest", 100.0, lambda: False)
+    # Torque limits go to zero only once the torque of all joints is known.
+    assert len(run.sent) == (10 if phase == "ramp" else 14)
+    first, second = run.made
+    for made, rest in ((first, "rest"), (second, "rest" if phase == "rest" else None)):
+        assert made == {"goal": run.goal, "limit": run.limit, "rest": rest}
+    run.answers, run.samples = None, 0
+    run.torque_unknown[0] = True
+    if phase == "ramp":
+        with pytest.raises(pliant.ServoFaultError, match="no answer from elbow"):
+            descend(run, "rest", 100.0, lambda: False)
+
+
+@pytest.mark.parametrize(
+    ("lead", "present", "held", "limit"),
+    [
+        # Leads with which a servo of the true stiffness, or of half of it, carries the weight.
+        (1.0, 3.0, 1.0, None),
+        (1.9, 3.0, 1.9, None),
+        (0.5, 3.0, 0.5, None),
+        (9.0, 3.0, "highest", None),
+        (-9.0, 3.0, "lowest", None),
+        # A joint that its servo carries at its torque limit gets no higher limit.
+        (1.5, 1.1, 1.5, 1.1),
+        (1.5, 0.9, 1.5, None),
+        (1.05, 1.1, 1.05, None),
+    ],
+)
+def test_an_arm_is_held_by_leads_that_can_carry_it(lead, present, held, limit):
+    """Lead and torque limits are multiples of the ones that carry the weight."""
+    arm, sent, watchdogs = pliant.robots.load("so101"), [], []
+    servos = pliant.connect("so101", backend="sim", handle_signals=False).servos
+    weight = np.array([0.5, -0.8, 0.6, 0.3, -0.4])
+    need, q = weight / np.asarray(servos.kp), np.full(arm.n, 0.1)
+    hold_position(
+        SimpleNamespace(
+            servos=servos,
+            gravity=lambda: weight,
+            q=q,
+            goal=q + lead * need,
+            limit=present * np.abs(weight),
+            send=lambda *orders: sent.append(orders),
+            set_watchdog=watchdogs.append,
+        )
+    )
+    ((goal, torque),) = sent
+    push = torque_margin(servos, weight)
+    margin = np.sign(weight) * push / np.asarray(servos.kp)
+    ends = {"lowest": need / 2.5 - margin, "highest": 2.0 * need + margin}
+    assert goal - q == pytest.approx(ends[held] if held in ends else held * need)
+    most = SUPPORT * np.abs(weight) + push
+    assert torque == pytest.approx(
+        most if limit is None else np.minimum(limit * np.abs(weight), most)
+    )
+    assert watchdogs == [0.0]
 
 
 @pytest.mark.parametrize("direction", ["lower", "higher"])
@@ -418,9 +742,11 @@ def test_a_message_of_a_process_without_the_thread_counts_as_written():
     assert MessageQueue().post("nothing is started").is_written
 
 
-def test_progress_is_rare_on_a_stream_that_is_not_a_terminal(capfd, monkeypatch):
-    monkeypatch.setattr(LOGGER, "hasHandlers", lambda: False)
+@pytest.mark.parametrize("has_handler", [False, True])
+def test_progress_is_rare_where_lines_stay(capfd, caplog, monkeypatch, has_handler):
+    monkeypatch.setattr(LOGGER, "hasHandlers", lambda: has_handler)
     monkeypatch.setattr(sys, "stderr", sys.__stderr__)
+    caplog.set_level(logging.DEBUG)
     messages = MessageQueue()
     messages.start()
     for second in range(12):
@@ -428,8 +754,49 @@ def test_progress_is_rare_on_a_stream_that_is_not_a_terminal(capfd, monkeypatch)
         message = messages.post(f"second {second}", progress=True)
         while not message.is_written:
             pass
-    assert capfd.readouterr().err.splitlines() == [
-        "pliant: second 0",
-        "pliant: second 5",
-        "pliant: second 10",
-    ]
+    lines = caplog.messages if has_handler else capfd.readouterr().err.splitlines()
+    prefix = "" if has_handler else "pliant: "
+    assert lines == [f"{prefix}second {second}" for second in (0, 5, 10)]
+
+
+def written(*lines):
+    """Write messages, (text, is progress) each, to standard error without a handler."""
+    messages = MessageQueue()
+    messages.start()
+    for text, is_progress in lines:
+        message = messages.post(text, progress=is_progress)
+        messages.flush(5.0)
+        assert message.is_written
+
+
+@pytest.mark.parametrize(("columns", "width"), [(30, 29), (0, 79)])
+def test_a_terminal_shows_progress_in_one_line(monkeypatch, columns, width):
+    fcntl, termios = pytest.importorskip("fcntl"), pytest.importorskip("termios")
+    ours, theirs = os.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 24, columns, 0, 0))
+    monkeypatch.setattr(LOGGER, "hasHandlers", lambda: False)
+    monkeypatch.setenv("TERM", "xterm")
+    with open(theirs, "w", encoding="utf-8") as terminal, open(ours, "rb", buffering=0) as shown:
+        for name in ("stderr", "__stderr__"):
+            monkeypatch.setattr(sys, name, terminal)
+        written(("begin", False), ("down", True), ("d" * 99, True), ("end", False), ("x", False))
+        monkeypatch.setenv("TERM", "dumb")
+        written(("plain", False), ("down", True), ("end", False))
+        os.write(theirs, b"!")
+        text = b""
+        while not text.endswith(b"!"):
+            text += shown.read(1000)
+    long, clear = f"pliant: {'d' * 99}"[:width], "\r\x1b[K"
+    assert text.decode().replace("\r\r\n", "\r\n") == (
+        f"pliant: begin\r\n{clear}pliant: down{clear}{long}{clear}pliant: end\r\npliant: x\r\n"
+        "pliant: plain\r\npliant: end\r\n!"
+    )
+
+
+@pytest.mark.parametrize("stream", [None, io.StringIO()])
+def test_messages_go_to_a_replaced_standard_error(monkeypatch, stream):
+    monkeypatch.setattr(LOGGER, "hasHandlers", lambda: False)
+    monkeypatch.setattr(sys, "stderr", stream)
+    monkeypatch.setattr(LOGGER, "level", logging.INFO)
+    written(("begin", False), ("down", True), ("end", False))
+    assert stream is None or stream.getvalue() == "pliant: begin\npliant: end\n"

@@ -552,3 +552,236 @@ def test_time_in_which_the_guardian_did_not_run_does_not_count(monkeypatch):
     # Five checks with 10 s between them, as on a machine that slept: 0.2 s count for each.
     assert beats.checks(50.0, period=10.0) is None
     assert beats.checks(50.0, period=10.0) is not None
+
+
+class Watched:
+    """Program whose guardian's calls are simulated: it ends or hangs after some checks.
+
+    Args:
+        messages: Messages of the program, one per check: content, None, or an error.
+        ends: Number of checks after which the program has ended, None: never.
+        hangs: Number of checks after which it hangs.
+    """
+
+    def __init__(self, monkeypatch, messages, *, ends=None, hangs=None):
+        self.messages, self.ends, self.hangs, self.checks = list(messages), ends, hangs, 0
+        self.answers, self.calls, self.sentinels = [], [], []
+        self.patience = 0.0
+        monkeypatch.setattr(_guardian_process, "wait", self.wait)
+        monkeypatch.setattr(_guardian_process, "_build", self.build)
+
+    def wait(self, lines, timeout):
+        self.checks += 1
+        assert self.checks < 20
+        assert timeout == _guardian_process.PERIOD
+        return [self] if self.messages and self in lines else []
+
+    def build(self, content):
+        arm = None if content == "wrong" else SimpleNamespace(name=content, comm_timeout=0.7)
+        return arm, None if arm else "TypeError: wrong"
+
+    def recv(self):
+        message = self.messages.pop(0)
+        if isinstance(message, Exception):
+            raise message
+        return message
+
+    def send(self, answer):
+        self.answers.append(answer)
+
+    @property
+    def has_ended(self):
+        return self.ends is not None and self.checks > self.ends
+
+    def problem(self, patience):
+        self.patience = patience
+        return None if self.hangs is None or self.checks <= self.hangs else "it hangs"
+
+    def restart(self):
+        self.calls.append("restart")
+
+    def kill(self):
+        self.calls.append("kill")
+
+
+@pytest.mark.parametrize(
+    ("messages", "events", "expected", "answers"),
+    [
+        (["so101"], {"ends": 5}, "the program has ended", [None]),
+        (["so101"], {"ends": 0}, "the program has ended", [None]),
+        (["so101"], {"hangs": 5}, "it hangs, and was ended", [None]),
+        (["so101", EOFError()], {}, "the program has given the arm up", [None]),
+        (["so101", EOFError()], {"ends": 2}, "the program has ended", [None]),
+        (["so101", OSError()], {"ends": 2}, "the program has ended", [None]),
+        # Torque off, or no arm: nothing is to be lowered.
+        (["so101", None], {"ends": 5}, None, [None]),
+        (["so101", None, EOFError()], {}, None, [None]),
+        (["wrong"], {"ends": 5}, None, ["TypeError: wrong"]),
+        ([], {"ends": 5}, None, []),
+        ([EOFError()], {}, None, []),
+        (["so101", None, "koch"], {"hangs": 5}, "it hangs, and was ended", [None, None]),
+    ],
+)
+def test_the_guardian_lowers_the_arm_that_has_torque(
+    monkeypatch, messages, events, expected, answers
+):
+    program = Watched(monkeypatch, messages, **events)
+    found = _guardian_process.watch(program, program)
+    assert (found and found[1]) == expected
+    names = [message for message in messages if isinstance(message, str)]
+    assert found is None or found[0].name == names[-1]
+    assert program.answers == answers
+    assert ("kill" in program.calls) == ("hangs" in events)
+    assert program.calls.count("restart") == len([m for m in messages if m is None or m in names])
+    assert program.patience in {0.0, 0.7}  # that of the arm
+
+
+class Taken:
+    """An arm whose port another process locks for the first `count` attempts to open it."""
+
+    def __init__(self, monkeypatch, count, error):
+        self.left, self.error, self.time, self.reasons = count, error, 0.0, []
+        self.waits, self.closed, self.messages = [], 0, []
+        self.drive, self.model = self, SimpleNamespace(name="so101")
+        monkeypatch.setattr(_guardian_process.time, "monotonic", lambda: self.time)
+        monkeypatch.setattr(_guardian_process.time, "sleep", self.sleep)
+        monkeypatch.setattr(MESSAGES, "post", lambda text, _: self.messages.append(text))
+
+    def sleep(self, seconds):
+        self.waits.append(seconds)
+        self.time += seconds
+
+    def _resume(self, reason):
+        self.reasons.append(reason)
+        self.left -= 1
+        if self.left >= 0:
+            raise self.error
+
+    def close(self):
+        self.closed += 1
+        raise pliant.ServoError("not open")
+
+
+@pytest.mark.parametrize(
+    ("count", "error", "has_ended", "waits"),
+    [
+        (0, None, True, []),
+        (3, pliant.ServoError("locked"), True, [_guardian_process.OPEN_PERIOD] * 3),
+        (3, pliant.ServoError("locked"), False, [_guardian_process.PERIOD] * 3),
+        (9, pliant.ServoFaultError("goals are rejected"), True, []),
+    ],
+)
+def test_the_port_of_an_ended_program_is_tried_again(monkeypatch, count, error, has_ended, waits):
+    arm = Taken(monkeypatch, count, error)
+    _guardian_process.take_over(arm, "because", SimpleNamespace(has_ended=has_ended))
+    assert arm.waits == waits
+    assert arm.reasons == ["because"] * (len(waits) + 1)
+    assert arm.closed == len(waits)
+    assert not arm.messages
+
+
+def test_an_arm_whose_port_stays_locked_is_reported(monkeypatch):
+    arm = Taken(monkeypatch, 10**6, pliant.ServoError("locked"))
+    _guardian_process.take_over(arm, "because", SimpleNamespace(has_ended=False))
+    assert arm.time == pytest.approx(_guardian_process.OPEN_TIME, abs=0.11)
+    (message,) = arm.messages
+    assert message.startswith("so101 was not lowered")
+    assert "(because; ServoError: locked)" in message
+
+
+@pytest.mark.parametrize(("checks", "kills"), [(0, 0), (3, 1), (10**6, 1)])
+def test_the_end_of_a_killed_program_is_waited_for(monkeypatch, checks, kills):
+    """The program ends `checks` checks after the signal; a hanging system call may delay it."""
+    beats = Beats(monkeypatch)
+    killed, left = [], [checks]
+
+    def sleep(seconds):
+        left[0] -= 1
+        beats.now += seconds
+
+    monkeypatch.setattr(_guardian_process.time, "sleep", sleep)
+    monkeypatch.setattr(os, "kill", lambda *arguments: killed.append(arguments))
+    monkeypatch.setattr(_guardian_process.Program, "has_ended", property(lambda _: left[0] <= 0))
+    beats.program.kill()
+    assert killed == [(os.getppid(), signal.SIGKILL)] * kills
+    assert beats.now == pytest.approx(min(0.01 * checks, _guardian_process.KILL_TIME), abs=0.011)
+
+
+def test_the_arm_of_a_guardian_handles_no_signals_and_starts_no_other(monkeypatch):
+    monkeypatch.setattr(_guardian_process, "Arm", lambda **options: options)
+    arm, error = _guardian_process._build(pickle.dumps(("bus", {"rate": 50.0})))
+    assert arm == {"drive": "bus", "rate": 50.0, "guardian": False, "handle_signals": False}
+    assert error is None
+    assert _guardian_process._build(pickle.dumps("bus"))[0] is None
+    assert "UnpicklingError" in _guardian_process._build(b"bus")[1]
+
+
+@pytest.mark.parametrize(
+    ("answer", "message"),
+    [
+        (None, None),
+        ("TypeError: wrong", "did not start: TypeError: wrong"),
+        ("silence", "did not start: it did not answer"),
+        (EOFError(), "did not start: it did not answer"),
+        (BrokenPipeError(), "did not start: it did not answer"),
+    ],
+)
+def test_a_guardian_that_does_not_watch_is_reported(answer, message):
+    class Line:
+        def send(self, content):
+            sent.append(content)
+            if isinstance(answer, OSError):
+                raise answer
+
+        def poll(self, seconds):
+            return answer != "silence"
+
+        def recv(self):
+            if isinstance(answer, Exception):
+                raise answer
+            return answer
+
+        def close(self):
+            sent.append("closed")
+
+    guardian, sent = object.__new__(Guardian), []
+    guardian._line, guardian._drive = Line(), None
+    drive = SimpleNamespace(closed_copy=lambda: "copy")
+    if message is None:
+        guardian.watch(drive, {"rate": 50.0})
+        assert guardian._drive is drive
+    else:
+        with pytest.raises(pliant.ServoError, match=message):
+            guardian.watch(drive, {"rate": 50.0})
+        assert guardian._drive is None
+    assert pickle.loads(sent[0]) == ("copy", {"rate": 50.0})
+
+
+@pytest.mark.parametrize("found", [None, ("arm", "because")])
+def test_the_process_of_the_guardian_takes_over_what_it_found(monkeypatch, found):
+    calls, ignored = [], {}
+    ours, theirs = os.pipe()
+    memory = os.memfd_create("heartbeat")
+    os.truncate(memory, 16)
+    monkeypatch.setattr(signal, "signal", ignored.__setitem__)
+    monkeypatch.setattr(_guardian_process, "_set_policy", calls.append)
+    monkeypatch.setattr(_guardian_process, "take_over", lambda *arguments: calls.append(arguments))
+
+    def watch(program, line):
+        calls.append((program.pid, line.fileno(), tuple(program._heartbeat)))
+        line.close()
+        return found
+
+    monkeypatch.setattr(_guardian_process, "watch", watch)
+    _guardian_process.main([str(os.getppid()), str(theirs), str(memory)])
+    os.close(ours)
+    os.close(memory)
+    assert calls[:2] == ["SCHED_BATCH", (os.getppid(), theirs, (0.0, 0.0))]
+    assert {signal.SIGINT, signal.SIGTERM, signal.SIGHUP} < ignored.keys()
+    assert set(ignored.values()) == {signal.SIG_IGN}
+    if found is None:
+        assert len(calls) == 2
+    else:
+        policy, (*arm_and_reason, program) = calls[2:]
+        assert (policy, tuple(arm_and_reason)) == ("SCHED_OTHER", found)
+        assert program.pid == os.getppid()

@@ -227,3 +227,43 @@ def test_signals_without_a_descent_are_raised_once(monkeypatch):
     assert error.code == 128 + signal.SIGTERM
     assert len(presses.press(13.0, 14.0, number=signal.SIGTERM)) == 2
     assert not presses.posted
+
+
+@pytest.mark.parametrize(
+    ("former", "is_called", "is_default"),
+    [
+        ("handler", True, False),
+        (signal.SIG_IGN, False, False),
+        (signal.SIG_DFL, False, True),
+        (None, False, True),  # set from C
+    ],
+)
+def test_a_signal_without_an_arm_goes_to_its_former_handler(
+    monkeypatch, former, is_called, is_default
+):
+    presses, called, default = Presses(monkeypatch), [], []
+    monkeypatch.setattr(os, "kill", lambda *arguments: default.append(arguments))
+    monkeypatch.setattr(signal, "signal", lambda *arguments: default.append(arguments))
+    handler = (lambda *arguments: called.append(arguments)) if former == "handler" else former
+    presses.registry._before[signal.SIGTERM] = handler
+    presses.registry.arms.clear()
+    assert not presses.press(10.0, number=signal.SIGTERM)
+    assert called == [(signal.SIGTERM, None)] * is_called
+    assert default == (
+        [(signal.SIGTERM, signal.SIG_DFL), (os.getpid(), signal.SIGTERM)] if is_default else []
+    )
+
+
+def test_arms_and_signals_of_the_parent_are_not_those_of_a_forked_child(monkeypatch):
+    presses = Presses(monkeypatch)
+    registry = presses.registry
+    registry.pending, registry._process = signal.SIGTERM, os.getpid() + 1
+    child = Signals(lambda: None)
+    handlers = {}
+    monkeypatch.setattr(signal, "signal", handlers.__setitem__)
+    registry.add(child)
+    assert registry.arms == [child]
+    assert registry.pending is None
+    assert set(handlers.values()) == {registry._catch}
+    registry.remove(presses.arms[0])  # of the parent
+    assert registry.arms == [child]

@@ -12,6 +12,7 @@ import pytest
 from bare_arm import bare_arm
 
 import pliant
+from pliant.arm import _supervisor
 from pliant.arm._messages import MESSAGES
 from pliant.arm._supervisor import Supervisor
 
@@ -41,6 +42,34 @@ def test_silence_is_detected_once_and_raised_at_the_next_call():
             pass
     assert len(calls) == 1
     assert calls[0] <= 1e-4 < interval == sys.getswitchinterval()
+
+
+def test_the_guardian_sees_accesses_beats_and_the_timeout():
+    supervisor = Supervisor(lambda: None)
+    heartbeat, begin = supervisor.heartbeat, time.perf_counter()
+    for act in (supervisor.__exit__, supervisor.beat):
+        heartbeat[0] = 0.0
+        supervisor.lock.acquire()
+        act()
+        assert begin <= heartbeat[0] <= time.perf_counter()
+        assert heartbeat[1] == 0.0
+    with supervisor.supervised(50.0):
+        assert heartbeat[1] == 50.0
+    assert heartbeat[1] == 0.0
+
+
+@pytest.mark.parametrize("owner", ["none", "this", "another"])
+def test_a_forked_process_has_no_access_to_an_arm_with_torque(monkeypatch, owner):
+    monkeypatch.setattr(_supervisor, "_NOT_FORKED", (0,))
+    supervisor = Supervisor(lambda: None)
+    supervisor.owner = {"none": None, "this": os.getpid(), "another": os.getppid()}[owner]
+    for context in (lambda: supervisor, supervisor.exclusive):
+        if owner == "another":
+            with pytest.raises(pliant.ServoError, match=f"process {os.getppid()}"), context():
+                pass
+        else:
+            with context():
+                pass
 
 
 @pytest.mark.parametrize("ending", ["access", "dismissal"])

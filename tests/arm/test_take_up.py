@@ -7,8 +7,18 @@ import pytest
 from bare_arm import bare_arm
 
 import pliant
+from pliant._core import SUPPORT
+from pliant.arm._checks import longest_command_age
 from pliant.arm._shutdown import UNKNOWN_TIME, _wait_for_silent
-from pliant.arm._startup import initial_commands, stiffness_mismatch
+from pliant.arm._startup import (
+    ATTEMPTS,
+    check_reading_time,
+    check_within_limits,
+    full_lead,
+    initial_commands,
+    stiffness_mismatch,
+    wait_for_all,
+)
 from pliant.arm._transfer import MIN_BALANCE, RISE, SINK, _DisturbanceObserver, _WeightTransfer
 
 START = [0.0, -0.3, 0.3, 0.9, 0.0]  # [rad]
@@ -93,6 +103,118 @@ def test_joints_that_have_torque_keep_goals_that_their_limits_can_hold():
     assert limit[:3] == pytest.approx([limits[0], limits[1], usable[2]])
     assert goal[3:] == pytest.approx([0.2 + 0.1, 0.2])
     assert lead == pytest.approx([0.0, 0.0, 0.0, 0.0, weight[4] / kp[4]])
+
+
+@pytest.mark.parametrize("is_known", [True, False])
+def test_joints_of_unknown_stiffness_start_with_less_torque_and_a_longer_lead(is_known):
+    """Joints 0 and 1 have torque, but their registers are not known; the others have none."""
+    arm = bare_arm("so101")
+    servos = arm.servos.replace(stiffness_known=is_known)
+    kp, friction, usable = (
+        np.asarray(getattr(servos, name)) for name in ("kp", "friction", "max_torque")
+    )
+    weight, q = np.array([0.4, -0.01, 0.5, -0.5, 99.0]) * usable, np.full(5, 0.2)
+    on, unknown = np.array([True, True, False, False, False]), np.full(5, np.nan)
+    io = SimpleNamespace(
+        servos=servos, q=q, gravity=lambda: weight, stored_commands=lambda: (unknown, unknown)
+    )
+    goal, limit, lead, taken = initial_commands(io, on)
+    assert not taken.any()
+    size = np.abs(weight)
+    most = SUPPORT * size + 2.0 * friction if is_known else size + 0.5 * friction
+    assert limit == pytest.approx(np.minimum(most, usable))
+    first = (1.0 if is_known else 2.0) * weight / kp
+    assert abs(first[0]) > 0.1 > abs(first[1])
+    assert goal - q == pytest.approx([0.1, first[1], 0.0, 0.0, 0.0])
+    expected = weight / kp if is_known else full_lead(weight, kp)
+    assert lead == pytest.approx(np.where(on, 0.0, expected))
+
+
+def test_a_full_lead_has_a_margin_and_a_bound():
+    torque, kp = np.array([1.0, -1.0, 0.0, 9.0, -9.0]), np.array([10.0, 20.0, 10.0, 10.0, 10.0])
+    # Twice the torque over the assumed stiffness, and 0.03 rad for the motion; at most 0.8 rad.
+    assert full_lead(torque, kp) == pytest.approx([0.23, -0.13, 0.0, 0.8, -0.8])
+
+
+class Reader:
+    """Arm of two joints: each reading takes the next of the `durations` [s], the last one on.
+
+    The second joint answers from reading number `answers` on.
+    """
+
+    def __init__(self, *durations, answers=1):
+        self.durations, self.answers, self.readings, self.time = durations, answers, 0, 0.0
+        self.clock, self.joints, self.positions = self, SimpleNamespace(names=("a", "b")), self
+        self.position, self.waits = np.zeros(2), []
+
+    def reset(self):
+        self.position = np.full(2, np.nan)
+
+    def now(self):
+        return self.time
+
+    def wait_until(self, deadline):
+        self.waits.append(round(deadline - self.time, 6))
+        self.time = deadline
+
+    def sample(self):
+        self.time += self.durations[min(self.readings, len(self.durations) - 1)]
+        self.readings += 1
+        self.position = np.array([0.0, 0.0 if self.readings >= self.answers else np.nan])
+
+
+def test_torque_waits_until_every_joint_has_answered():
+    reader = Reader(0.004, 0.003, answers=3)
+    assert wait_for_all(reader, 100.0) == pytest.approx(0.003)
+    assert reader.waits == [0.01, 0.01]
+    silent = Reader(0.004, answers=99)
+    with pytest.raises(pliant.ServoTimeoutError, match="no answer from b: torque stays off"):
+        wait_for_all(silent, 100.0)
+    assert silent.readings == ATTEMPTS
+
+
+@pytest.mark.parametrize(
+    ("first", "others", "required", "outcome", "readings"),
+    [
+        (0.009, [9.0], True, None, 0),
+        (9.0, [0.009], True, None, 1),
+        (9.0, [9.0, 0.009], True, None, 2),
+        (0.02, [0.03, 0.02], True, "warned", 2),
+        (0.9, [0.5], True, "refused", 2),
+        (0.9, [0.5], False, "warned", 2),
+    ],
+)
+def test_the_fastest_of_three_readings_decides(first, others, required, outcome, readings):
+    reader = Reader(*others)
+    if outcome == "refused":
+        with pytest.raises(pliant.ServoError, match=r"takes 500 ms, .* or that of .* to 1 Hz"):
+            check_reading_time(reader, first, 100.0, required=required)
+    else:
+        text = check_reading_time(reader, first, 100.0, required=required)
+        assert (text is None) == (outcome is None)
+        assert text is None or f"takes {1e3 * min([first, *others]):.0f} ms" in text
+    assert reader.readings == readings
+
+
+@pytest.mark.parametrize("rate", [20.0, 100.0])
+def test_a_reading_may_take_most_of_the_age_of_a_command(rate):
+    longest = 0.7 * longest_command_age(rate)
+    assert check_reading_time(Reader(9.0), longest - 1e-3, rate, required=True)
+    with pytest.raises(pliant.ServoError, match=f"at most {1e3 * longest:.0f} ms are allowed"):
+        check_reading_time(Reader(9.0), longest + 1e-3, rate, required=True)
+
+
+@pytest.mark.parametrize("on", [False, True])
+def test_joints_outside_their_limits_are_named_with_the_remedy(on):
+    model = bare_arm("so101").model
+    io = SimpleNamespace(model=model, q=np.array(model.upper))
+    check_within_limits(io, np.zeros(5, dtype=bool))
+    io.q = io.q + np.array([0.0, 1.0, 0.0, 1.0, 0.0])
+    with pytest.raises(
+        pliant.ServoError, match=r"^shoulder_lift stands at .*; wrist_flex stands at"
+    ) as caught:
+        check_within_limits(io, np.array([on, False, False, False, False]))
+    assert ("support the arm" in str(caught.value)) is on
 
 
 class Silent:

@@ -9,9 +9,9 @@ import pytest
 from pliant import ConfigError, ServoError, ShapeError
 from pliant._core import ServoCodec
 from pliant.emulator import Device, Emulator, ManualClock
-from pliant.servo import ServoBus, ServoSpec
+from pliant.servo import BusError, ServoBus, ServoSpec
 from pliant.servo import _device as driver
-from pliant.servo._port import Port
+from pliant.servo._port import Port, StatusPoller, latency_timer
 from pliant.servo._transactions import TransactionGuard
 from pliant.servo.bus import check_agreement
 
@@ -309,6 +309,10 @@ def test_two_servos_of_a_joint_disagree_only_about_angles_that_were_read():
 def test_a_port_and_its_requests_have_the_settings_of_the_bus(fake_bus):
     spec = ServoSpec(name="pan", model="MX-64", id=253, port="p")
     assert ServoBus([spec])._cycle == 0.01
+    assert ServoBus([spec], rate=0.5)._cycle == 2.0
+    for rate in (0.0, math.nan):
+        with pytest.raises(ConfigError, match="rate must be above 0 Hz"):
+            ServoBus([spec], rate=rate)
     device, opened = driver.Device(spec, 0, 253, 1), []
     device.attach(ServoCodec(1, 1), 0)
 
@@ -395,3 +399,253 @@ def test_a_bus_that_is_not_open_raises():
             call()
     with pytest.raises(ConfigError, match="no joint 'lift'; there are: pan"):
         servo_bus._select(["lift"])
+
+
+class Chain:
+    """Three servos on a port in memory, with torque on; servos in `dead` do not answer."""
+
+    def __init__(self, fake_bus, model, protocol, **options):
+        self.dead, self.bus = set(), fake_bus([1, 2, 3])
+        request, changes = self.bus._request, driver.Changes()
+
+        def answered(name, ids, *arguments):
+            numbers = ids if isinstance(ids, tuple) else (ids,)
+            silent = set() if name == "sync_write" else self.dead.intersection(numbers)
+            self.bus.plan = [BusError("no answer", "timeout", min(silent))] if silent else []
+            return request(name, ids, *arguments)
+
+        self.bus._request = answered
+        specs = [ServoSpec(name=f"joint{i}", model=model, id=i, port="p") for i in (1, 2, 3)]
+        self.devices = [driver.Device(s, i, s.id, 1, changes) for i, s in enumerate(specs)]
+        self.registers, codec = self.devices[0].family.registers, ServoCodec(3, 3)
+        for i, device in enumerate(self.devices):
+            device.attach(codec, i)
+            device.enabled = True
+            self.put(device.id, torque_enable=1, position=2048, voltage=120)
+        self.port = Port(
+            "p",
+            self.devices,
+            **{"baudrate": 1_000_000, "cycle": 0.01, "reply_timeout_min": 0.01} | options,
+            open_transport=lambda *_: self.bus,
+            clock=self.bus.clock,
+        )
+        self.port.guard._clock = self.bus.clock
+        self.port.guard.start_cycle()
+
+    def put(self, id, **values):
+        for name, value in values.items():
+            register = self.registers[name]
+            data = register.encode(value)
+            self.bus.memory[id][register.address : register.address + len(data)] = data
+
+    def get(self, id, name):
+        register = self.registers[name]
+        return register.decode(
+            bytes(self.bus.memory[id][register.address : register.address + register.size])
+        )
+
+    def cycle(self, seconds=0.01, budget=math.inf):
+        """Read in a cycle; return the indices of accepted readings and the ids in requests."""
+        self.bus.now += seconds
+        self.bus.calls.clear()
+        accepted = self.port.read(budget)
+        asked = [call[1] for call in self.bus.calls if call[0] in {"read", "sync_read"}]
+        return accepted, asked
+
+
+SYNC_READ = ["XM430-W350", "STS3215-7.4V"]
+
+
+@pytest.mark.parametrize("model", SYNC_READ)
+def test_a_dead_servo_is_asked_every_eighth_cycle(fake_bus, model):
+    chain = Chain(fake_bus, model, "p2")
+    assert sorted(chain.cycle()[0]) == [0, 1, 2]
+    chain.dead = {2}
+    for _ in range(3):
+        accepted, asked = chain.cycle()
+        assert sorted(accepted) == [0, 2]
+        assert {2} <= {*asked}
+        assert chain.port.guard.counters.timeouts
+    counts = [2 in chain.cycle()[1] for _ in range(18)]
+    assert counts == [i % 8 == 6 for i in range(18)]
+    chain.dead = set()
+    accepted = [chain.cycle()[0] for _ in range(8)]
+    assert sorted(accepted[-1]) == [0, 1, 2]
+    first = next(i for i, found in enumerate(accepted) if len(found) == 3)
+    assert first == 4
+    # A single silence is forgotten.
+    chain.dead = {2}
+    for _ in range(2):
+        chain.cycle()
+    chain.dead = set()
+    chain.cycle()
+    chain.dead = {2}
+    for _ in range(2):
+        chain.cycle()
+    assert len(chain.port.responsive) == 3
+
+
+def test_a_line_on_which_no_servo_answers_has_no_dead_servo(fake_bus):
+    chain = Chain(fake_bus, "MX-64", "p1")
+    chain.cycle()
+    chain.dead = {1, 2, 3}
+    for _ in range(9):
+        assert not chain.cycle()[0]
+    assert len(chain.port.responsive) == 3
+
+
+@pytest.mark.parametrize("model", [*SYNC_READ, "MX-64"])
+@pytest.mark.parametrize("silence", [0.05, 0.2])
+def test_a_servo_that_restarted_gets_no_more_goals(fake_bus, model, silence):
+    chain = Chain(fake_bus, model, "p2")
+    chain.cycle()
+    chain.put(2, torque_enable=0)
+    chain.cycle(silence)
+    assert [device.enabled for device in chain.devices] == [True, silence < 0.1, True]
+    assert [bool(device.faults) for device in chain.devices] == [False, silence > 0.1, False]
+
+
+def test_an_armed_watchdog_that_tripped_in_a_silence_is_armed_again(fake_bus):
+    chain = Chain(fake_bus, "XM430-W350", "p2")
+    chain.cycle()
+    assert chain.port.set_watchdog(0.5, 1.0) == []
+    assert [chain.get(i, "watchdog") for i in (1, 2, 3)] == [25] * 3
+    chain.put(2, watchdog=driver.TRIPPED)
+    assert sorted(chain.cycle(0.2)[0]) == [0, 1, 2]
+    assert chain.devices[1].trips == 1
+    assert [chain.get(i, "watchdog") for i in (1, 2, 3)] == [25] * 3
+    assert not chain.devices[1].tripped
+    # Off: watchdogs are not asked about any more.
+    assert chain.port.set_watchdog(0.0, 1.0) == []
+    chain.put(2, watchdog=driver.TRIPPED)
+    chain.cycle(0.2)
+    assert chain.devices[1].trips == 1
+
+
+@pytest.mark.parametrize(
+    ("seconds", "units"), [(0.0, 0), (0.001, 1), (0.02, 1), (0.021, 2), (9.0, 127)]
+)
+def test_a_watchdog_is_rounded_up_to_its_unit(fake_bus, seconds, units):
+    chain = Chain(fake_bus, "XM430-W350", "p2")
+    chain.dead = {2}
+    assert chain.port.set_watchdog(seconds, 1.0) == ["joint2"]
+    assert [chain.get(i, "watchdog") for i in (1, 3)] == [units] * 2
+    assert chain.port.watchdog == units
+
+
+@pytest.mark.parametrize("model", [*SYNC_READ, "MX-64", "RX-64"])
+def test_only_servos_with_torque_get_commands(fake_bus, model):
+    chain = Chain(fake_bus, model, "p2")
+    command = ([0.1] * 3, [0.2] * 3, None, 0.0)
+    for enabled in ([True] * 3, [True, False, True], [False] * 3, [False, True, True]):
+        for device, is_enabled in zip(chain.devices, enabled, strict=True):
+            device.enabled = is_enabled
+            chain.put(device.id, goal=0, limit=0)
+        chain.port.write(command)
+        for device, is_enabled in zip(chain.devices, enabled, strict=True):
+            goal, limit = (chain.get(device.id, name) for name in ("goal", "limit"))
+            assert bool(goal) is bool(limit) is is_enabled
+            assert not is_enabled or (device.goal, device.limit) == (goal, limit)
+    with pytest.raises(ShapeError):
+        chain.port.write(([0.1] * 2, [0.2] * 3, None, 0.0))
+
+
+@pytest.mark.parametrize("model", [*SYNC_READ, "MX-64"])
+def test_status_is_read_in_turn_and_first_of_a_servo_with_a_fault(fake_bus, model):
+    chain = Chain(fake_bus, model, "p2")
+    poller = StatusPoller([[device] for device in chain.devices])
+    for device in chain.devices:
+        chain.put(device.id, temperature=30 + device.id)
+
+    def names(count):
+        found = []
+        for _ in range(count):
+            chain.port.guard.start_cycle()
+            status = poller.step({id(device): chain.port for device in chain.devices})
+            if status is not None:
+                found.append(status.name)
+                assert status.temperature in {30.0 + int(status.name[-1]), None}
+        return found
+
+    family = chain.devices[0].family
+    turn = [f"joint{i}" for i in (1, 2, 3) for _ in family.status_blocks]
+    # With Protocol 2.0, every third step reads the torque of all servos.
+    steps = 3 if family.status == "p2" else 2
+    assert names(len(turn) * steps) == turn * 2
+    chain.devices[2].fault("jump", True, "jumped")
+    assert names(steps)[0] == "joint3"
+
+
+def test_torque_of_all_servos_is_read_in_every_third_step(fake_bus):
+    chain = Chain(fake_bus, "XM430-W350", "p2")
+    poller = StatusPoller([[device] for device in chain.devices])
+    ports, seen = {id(device): chain.port for device in chain.devices}, []
+    chain.devices[0].enabled = False
+    for _ in range(6):
+        chain.bus.calls.clear()
+        poller.step(ports)
+        seen += [call[1] for call in chain.bus.calls if call[0] == "sync_read"]
+    assert seen == [(2, 3)] * 2
+    chain.put(3, torque_enable=0)
+    statuses = [poller.step(ports) for _ in range(3)]
+    assert statuses[-1].name == "joint3"
+    assert "torque went off" in statuses[-1].faults[0]
+    assert not chain.devices[2].enabled
+
+
+@pytest.mark.parametrize(("text", "seconds"), [("16\n", 0.016), ("?", None), (None, None)])
+def test_the_latency_timer_of_an_adapter(monkeypatch, tmp_path, text, seconds):
+    folder = tmp_path / "sys/bus/usb-serial/devices/ttyUSB0"
+    folder.mkdir(parents=True)
+    if text is not None:
+        (folder / "latency_timer").write_text(text)
+    monkeypatch.setattr("pliant.servo._port.Path", lambda path: tmp_path / path.lstrip("/"))
+    assert latency_timer("/dev/ttyUSB0") == seconds
+
+
+def test_a_reopened_bus_has_the_commands_of_the_servos_that_answer(emulated, enabled, monkeypatch):
+    monkeypatch.setattr("pliant.servo._enable.RESUME_TIME", 0.02)
+    with emulated("sts", 2, clock="steps") as (bus, servo_bus):
+        limit = enabled(servo_bus)
+        servo_bus.write([0.2, -0.3], limit)
+        servo_bus.read()
+        copy = servo_bus.closed_copy()
+        servo_bus.close()
+        bus.faults.inject("lose", 2, count=10**6)
+        goals, limits = copy.reopen()
+        assert goals == pytest.approx([0.2, np.nan], abs=0.002, nan_ok=True)
+        assert limits == pytest.approx([limit[0], np.nan], rel=0.01, nan_ok=True)
+        assert copy.torque_unknown.tolist() == [False, True]
+        assert copy.enabled.tolist() == [True, True]
+        copy.write([0.1, 0.1], limit)
+        copy.read()
+        goal = [copy._joints[i][0].angle(bus.servos[i].get("goal_position")) for i in range(2)]
+        assert goal == pytest.approx([0.1, -0.3], abs=0.002)
+        bus.faults.clear()
+        for _ in range(50):  # the line must be silent first
+            if not copy.torque_unknown.any():
+                break
+            copy.read()
+            goals, limits = copy.reopen()
+        assert goals == pytest.approx([0.1, -0.3], abs=0.002)
+        assert limits == pytest.approx(limit, rel=0.01)
+        assert not copy.torque_unknown.any()
+        copy.close()
+        bus.faults.inject("lose", count=10**6)
+        with pytest.raises(ServoError, match="no answer from joint0, joint1: torque may be on"):
+            copy.reopen()
+
+
+def test_commands_of_servos_that_have_torque_at_open_are_known(emulated, enabled):
+    with emulated("sts", 3, clock="steps", is_open=False) as (bus, servo_bus):
+        for name, value in (("torque_enable", 1), ("goal_position", 2148), ("torque_limit", 300)):
+            bus.servos[1].put(name, value)
+        servo_bus.open()
+        goals, limits = servo_bus.orders
+        units = servo_bus._joints[1][0].units
+        expected = [np.nan, units.angle(2148), np.nan]
+        assert goals == pytest.approx(expected, nan_ok=True)
+        assert limits == pytest.approx([np.nan, units.torque(300), np.nan], nan_ok=True)
+        assert servo_bus.enabled.tolist() == [False, True, False]
+        enabled(servo_bus)
+        assert np.isnan(servo_bus.orders).all()

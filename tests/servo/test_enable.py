@@ -1,6 +1,7 @@
 """Torque on with one lost packet, registers that bound the torque, and their restoration."""
 
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import pytest
 from pliant import ServoError
 from pliant.emulator import Emulator, ManualClock
 from pliant.servo import ServoBus, ServoSpec, _enable
+from pliant.servo import _device as driver
 from tests.servo.conftest import JOINTS, devices
 
 KINDS = ["sts", "xm", "xl430", "ex", "rx", "mx"]
@@ -474,3 +476,67 @@ def test_a_signal_while_torque_comes_on_does_not_drop_the_arm(kind, number, expe
         assert [servo.enabled for servo in bus.servos] == expected
         servo_bus.disable()
         assert not any(servo.enabled for servo in bus.servos)
+
+
+class Image(dict):
+    """Registers of a servo by name, 0 if absent, with the time of their reading [s]."""
+
+    def __missing__(self, name):
+        return 0
+
+
+@pytest.mark.parametrize(
+    ("counts", "speed", "seconds", "limit", "is_still"),
+    [
+        (32, 0, 0.0, 0, True),  # 0.05 rad
+        (33, 0, 0.0, 0, False),
+        (-33, 0, 0.0, 0, False),
+        (-50, -100, 0.1, 0, True),  # it fell: twice 100 steps/s for 0.1 s
+        (-53, 10, 0.1, 0, False),
+        (90, 0, 0.0, 1000, True),  # it sags until its servo exerts its limit
+        (600, 0, 0.0, 1000, False),
+    ],
+)
+def test_a_joint_may_fall_and_sag_but_not_jump_as_torque_comes_on(
+    counts, speed, seconds, limit, is_still
+):
+    device = driver.Device(ServoSpec(name="pan", model="STS3215-7.4V", id=1, port=""), 0, 1, 1)
+    device._last_sent = (2000, limit, 1, b"")
+    before, after = Image(position=2000, speed=speed), Image(position=2000 + counts)
+    before.time, after.time = 5.0, 5.0 + seconds
+    with pytest.raises(ServoError, match="did not switch its torque on"):
+        _enable._check_still(device, before, after)
+    after["torque_enable"] = 1
+    if is_still:
+        _enable._check_still(device, before, after)
+        return
+    moved = abs(counts) * device.units.count
+    with pytest.raises(ServoError, match=f"pan moved by {moved:.2f} rad"):
+        _enable._check_still(device, before, after)
+
+
+@pytest.mark.parametrize(("pings", "returns"), [(1, True), (30, True), (10**6, False)])
+def test_a_servo_has_a_limited_time_to_restart(monkeypatch, pings, returns):
+    device = driver.Device(ServoSpec(name="pan", model="XM430-W350", id=7, port=""), 0, 7, 1)
+    device.enabled, device.hardware, time, calls = True, ("overload",), [0.0], []
+
+    def ping(id):
+        time[0] += 0.02
+        calls.append(id)
+        return len(calls) >= pings
+
+    guard = SimpleNamespace(start_cycle=lambda: None, reboot=calls.append, ping=ping)
+    monkeypatch.setattr(_enable.time, "monotonic", lambda: time[0])
+    monkeypatch.setattr(_enable, "_image", lambda *arguments: calls.append(arguments[2:]))
+    ports = {id(device): SimpleNamespace(guard=guard)}
+    if returns:
+        _enable.reboot([device], ports)
+        assert not device.faults
+        assert calls[-1] == ("hardware_error", "torque_enable")
+    else:
+        with pytest.raises(ServoError, match="pan did not come back within"):
+            _enable.reboot([device], ports)
+        assert time[0] == pytest.approx(_enable.REBOOT, abs=0.041)
+        assert device.hardware
+    assert not device.enabled
+    assert calls[0] == 7

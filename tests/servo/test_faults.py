@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from pliant import ServoError, ServoFaultError
+from pliant._core import ServoCodec
 from pliant.emulator import Emulator, ManualClock
 from pliant.servo import BusError, ServoBus, ServoSpec, get_model
-from pliant.servo._device import Changes, Device
+from pliant.servo._device import TRIPPED, Changes, Device
 from pliant.servo._port import Port, StatusPoller
 from tests.servo.conftest import devices
 
@@ -547,6 +548,79 @@ def test_a_register_is_wrong_after_three_packets_and_half_a_second():
         assert device.has_mismatch is (wrong > 0)
         assert device.has_suspect_register is (wrong > 0 and not is_fault)
         assert ("goal" in device.other_faults) is is_fault
+
+
+def reported(device, time, status=0, **values):
+    """Pass values of status registers to a device, like a reply read at `time` [s]."""
+    before = device.changes.status
+    device._note(values, status, time)
+    assert device.changes.status > before  # so that the next status is made anew
+    return device.faults
+
+
+def attached(model):
+    device = Device(ServoSpec(name="pan", model=model, id=1, port=""), 0, 1, 1)
+    device.attach(ServoCodec(1, 1), 0)
+    return device
+
+
+def test_a_low_supply_is_a_fault_after_half_a_second():
+    device = attached("STS3215-7.4V")
+    device.min_voltage = 6.0
+    torque = device.units.torque_per_unit
+    for time, tenths, is_fault in (
+        (100.0, 60, False),
+        (100.4, 59, False),
+        (100.5, 60, False),
+        (101.0, 59, False),
+        (101.1, 59, True),
+        (101.2, 50, True),
+        (101.3, 74, False),
+    ):
+        faults = reported(device, time, voltage=tenths)
+        assert [f"is {tenths / 10} V and it needs 6.0 V" in text for text in faults] == (
+            [True] * is_fault
+        )
+        assert device.voltage == device.units.voltage == tenths / 10
+    assert device.units.torque_per_unit == torque  # back at 7.4 V
+
+
+def test_torque_that_went_off_stays_off_until_it_is_enabled():
+    device = attached("STS3215-7.4V")
+    assert not reported(device, 1.0, torque_enable=0)
+    device.enabled, torque_changes = True, device.changes.torque
+    assert not reported(device, 1.1, torque_enable=1)
+    assert device.torque_on
+    for time in (1.2, 1.3):
+        assert "its torque went off by itself" in reported(device, time, torque_enable=0)[0]
+        assert not device.enabled
+        assert not device.torque_on
+    assert device.changes.torque > torque_changes
+    device.enabled = True
+    assert not reported(device, 1.4, torque_enable=1)
+
+
+def test_trips_and_alerts_are_counted_once_each():
+    device = attached("XM430-W350")
+    for value in (5, TRIPPED, TRIPPED, 5, TRIPPED):
+        reported(device, 1.0, watchdog=value)
+        assert device.watchdog == value
+        assert device.tripped is (value == TRIPPED)
+    assert device.trips == 2
+    device = attached("STS3215-7.4V")
+    for byte, alerts in ((0, 0), (1 << 2, 1), (1 << 2, 1), (0, 1), (1 << 2 | 1, 2), (1, 2)):
+        assert len(reported(device, 1.0, status=byte)) == byte.bit_count()
+        assert device.alerts == alerts
+
+
+def test_overloads_that_leave_the_torque_on_are_no_fault():
+    device = attached("XM430-W350")
+    overload, heat = 1 << 5, 1 << 2
+    device.harmless = overload
+    for value, is_harmless in ((overload, True), (overload | heat, False), (0, False)):
+        faults = reported(device, 1.0, status=0x80 if value else 0, hardware_error=value)
+        assert device.has_harmless_error is is_harmless
+        assert len(faults) == bool(value & heat)
 
 
 @pytest.mark.parametrize(

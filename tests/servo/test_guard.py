@@ -266,13 +266,16 @@ def test_a_port_that_is_gone_is_asked_nothing_more(fake_bus):
     assert len(bus.calls) == 1
 
 
-def test_a_refused_read_is_not_mistaken_for_a_stale_one(fake_bus):
+@pytest.mark.parametrize(
+    ("size", "status", "reason"), [(0, 7, "refused"), (0, 0, "stale"), (14, 7, "stale")]
+)
+def test_a_refused_read_is_not_mistaken_for_a_stale_one(fake_bus, size, status, reason):
     bus = fake_bus([1])
-    bus.read = lambda *_: (b"", 0x07)
+    bus.read = lambda *_: (bytes(size), status)
     guard = guarded(bus)
     with pytest.raises(BusError) as error:
         guard.read(1, SHORT)
-    assert error.value.reason == "refused"
+    assert error.value.reason == reason
 
 
 def test_drains_ping_an_unused_id(fake_bus):

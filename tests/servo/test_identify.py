@@ -9,7 +9,13 @@ from pliant import ServoError
 from pliant.emulator import Device, Emulator, Timing
 from pliant.servo import BusError, ServoBus, ServoSpec
 from pliant.servo import _device as driver
-from pliant.servo._handshake import RegisterImage, _broken, _calibration_notes, identify
+from pliant.servo._handshake import (
+    RegisterImage,
+    _adapter_note,
+    _broken,
+    _calibration_notes,
+    identify,
+)
 from pliant.servo._transactions import Reply
 from pliant.servo.models import Block
 
@@ -192,6 +198,151 @@ def test_a_servo_that_was_set_up_has_no_notes(model, options):
     with Emulator([Device(model, id=1, **options)], clock="steps") as bus:
         name = "STS3215-7.4V" if model == "STS3215" else model
         assert opened(bus, {**PAN, "model": name}).found[0].notes == ()
+
+
+#: Emulated model and its name in a spec.
+XM, XL, STS = ("XM430-W350",) * 2, ("XL430-W250",) * 2, ("STS3215", "STS3215-7.4V")
+EX, RX, MX = ("EX-106+",) * 2, ("RX-64",) * 2, ("MX-64",) * 2
+
+
+@pytest.mark.parametrize(
+    ("model", "registers", "expected"),
+    [
+        (XM, {"operating_mode": 4}, "operating mode 4, needed is 5"),
+        (XM, {"operating_mode": 5, "drive_mode": 1}, None),  # counts in the other direction
+        (XM, {"operating_mode": 5, "drive_mode": 2}, "(bit 1)"),
+        (XM, {"operating_mode": 5, "drive_mode": 4}, "(bit 2)"),
+        (XM, {"operating_mode": 5, "drive_mode": 8}, "(bit 3)"),
+        (XM, {"operating_mode": 5, "secondary_id": 252}, "obeys id 252"),
+        (XM, {"operating_mode": 5, "secondary_id": 253}, None),
+        (XL, {"operating_mode": 3}, None),
+        (XL, {"operating_mode": 4}, None),
+        (XL, {"operating_mode": 5}, "operating mode 5, needed is 3 or 4"),
+        (STS, {"operating_mode": 1}, "operating mode 1, needed is 0"),
+        (STS, {"response_level": 1}, None),
+        (STS, {"response_level": 0}, "Status Return Level"),
+        (EX, {"drive_mode": 2}, "slave of a dual joint"),
+        (EX, {"drive_mode": 1}, None),
+        (RX, {"cw_angle_limit": 5, "ccw_angle_limit": 5}, "wheel or multi-turn mode"),
+        (RX, {"cw_angle_limit": 5, "ccw_angle_limit": 900}, None),
+        (MX, {"status_return_level": 1}, "Status Return Level"),
+    ],
+)
+def test_registers_that_do_not_allow_control_are_named(model, registers, expected):
+    part, spec = Device(model[0], id=1, **registers), {**PAN, "model": model[1]}
+    if expected is None:
+        with Emulator([part], clock="steps") as bus:
+            opened(bus, spec)
+    else:
+        assert expected in complaint([part], spec)
+
+
+@pytest.mark.parametrize(
+    ("limits", "volts", "fits"),
+    [
+        # The data sheet says 6.5 to 12 V; 0.5 V more or less is the tolerance of a measurement.
+        ({}, 6.0, True),
+        ({}, 5.9, False),
+        ({}, 12.5, True),
+        ({}, 12.6, False),
+        ({"max_voltage_limit": 110}, 11.0, True),
+        ({"max_voltage_limit": 110}, 11.1, False),
+        ({"min_voltage_limit": 100}, 10.0, True),
+        ({"min_voltage_limit": 100}, 9.9, False),
+    ],
+)
+def test_a_supply_fits_both_data_sheet_and_eeprom(limits, volts, fits):
+    with Emulator([Device("XL430-W250", id=1, **limits)], clock="steps") as bus:
+        bus.supply(volts)
+        spec = {**PAN, "model": "XL430-W250"}
+        if fits:
+            assert opened(bus, spec).found[0].voltage == pytest.approx(volts)
+            return
+        with pytest.raises(ServoError, match=rf"its supply is {volts} V"):
+            opened(bus, spec)
+
+
+@pytest.mark.parametrize(
+    ("model", "registers", "expected"),
+    [
+        (XM, {"pwm_limit": 443}, "PWM Limit is set to 50%"),
+        (XM, {"pwm_limit": 885}, None),
+        (XM, {"return_delay_time": 10}, None),
+        (XM, {"return_delay_time": 11}, "22 µs before each answer"),
+        (MX, {"return_delay_time": 250}, "500 µs before each answer"),
+        (STS, {"return_delay_time": 250}, None),
+        (MX, {"shutdown": 0b110100}, "it shuts off on overload"),
+        (MX, {"max_torque": 512}, "Max Torque is set to 50%"),
+        (XM, {"torque_enable": 1}, "torque is on already"),
+    ],
+)
+def test_settings_that_weaken_or_delay_a_servo_are_noted(model, registers, expected):
+    quiet = {} if model == STS else {"shutdown": 0b10100, "return_delay_time": 0}
+    mode = {"operating_mode": 5} if model == XM else {}
+    enabled = registers == {"torque_enable": 1}  # in RAM: a new servo has no torque
+    eeprom = quiet | mode | ({} if enabled else registers)
+    with Emulator([Device(model[0], id=1, **eeprom)], clock="steps") as bus:
+        bus.servos[0].put("torque_enable", int(enabled))
+        found = opened(bus, {**PAN, "model": model[1]}).found[0]
+    assert [expected in note for note in found.notes] == [True] * (expected is not None)
+    assert found.torque_on is enabled
+
+
+@pytest.mark.parametrize(
+    ("model", "registers", "low", "high"),
+    [
+        (STS, {"min_position_limit": 1000, "max_position_limit": 3000}, 1000, 3000),
+        (STS, {"min_position_limit": 0, "max_position_limit": 0}, 0, 4095),
+        (
+            XL,
+            {"operating_mode": 3, "min_position_limit": 100, "max_position_limit": 4000},
+            100,
+            4000,
+        ),
+        # Several turns: the range of one turn about the zero.
+        (
+            XL,
+            {"operating_mode": 4, "min_position_limit": 1000, "max_position_limit": 3000},
+            0,
+            4095,
+        ),
+        (RX, {"cw_angle_limit": 100, "ccw_angle_limit": 900}, 100, 900),
+    ],
+)
+def test_goals_stay_in_the_range_of_the_registers(model, registers, low, high):
+    with (
+        Emulator([Device(model[0], id=1, **registers)], clock="steps") as bus,
+        ServoBus(
+            [ServoSpec(name="pan", model=model[1], id=1, port=bus.port)], reply_timeout_min=0.1
+        ) as servo_bus,
+    ):
+        goals = []
+        servo_bus.enable(servo_bus.read().position, [0.3])
+        for goal in (-3.3, 3.3):
+            servo_bus.write([goal], [0.3])
+            servo_bus.read()
+            goals.append(bus.servos[0].get("goal_position"))
+    assert goals == [low, high]
+
+
+@pytest.mark.parametrize(
+    ("held_back", "timer", "expected", "latency"),
+    [
+        (0.016, None, "comes 16 ms later", 0.016),
+        (0.016, 0.001, "comes 16 ms later", 0.016),
+        (0.009, 0.016, "latency timer of port is 16 ms", 0.016),
+        (0.007, None, "", None),
+        (0.007, 0.002, "latency timer of port is 2 ms", 0.002),
+        (0.007, 0.001, "", 0.001),
+    ],
+)
+def test_an_adapter_that_delays_replies_is_named(held_back, timer, expected, latency):
+    guard = SimpleNamespace(held_back=held_back, latency=timer)
+    port = SimpleNamespace(path="port", latency=timer, guard=guard)
+    note = _adapter_note(port)
+    assert expected in note
+    assert bool(note) is bool(expected)
+    assert port.latency == guard.latency == latency
 
 
 @pytest.mark.parametrize("model", ["STS3215", "XM430-W350", "MX-64"])

@@ -8,7 +8,8 @@ pytest.importorskip("rustypot", reason="the tests of servo buses need the extra 
 
 from pliant import ServoError
 from pliant.emulator import Device, Emulator, Timing
-from pliant.servo.scan import scan
+from pliant.servo import BusError
+from pliant.servo.scan import _IdScan, scan
 
 MODELS = {"xl": "XL430-W250", "sts": "STS3215", "mx": "MX-64"}
 
@@ -89,3 +90,91 @@ def test_a_scan_opens_closes_and_announces_every_rate_and_protocol(monkeypatch):
             "closed",
         )
     ]
+
+
+class Line:
+    """Line in simulated time, of servos with Feetech's address of the model number.
+
+    Attributes:
+        models: Model number by id.
+        lost: Ids whose next reply is lost, once for each entry.
+        corrupt: Ids whose replies are always corrupt.
+        noisy: Number of pings during which data arrive.
+    """
+
+    def __init__(self, monkeypatch, models, *, lost=(), corrupt=(), noisy=0, reason="timeout"):
+        self.models, self.lost, self.corrupt, self.noisy = models, list(lost), corrupt, noisy
+        self.time, self.timeout, self.reads, self.reason = 0.0, 0.0, [], reason
+        monkeypatch.setattr("pliant.servo.scan.time", self)
+
+    def perf_counter(self):
+        return self.time
+
+    def set_timeout(self, seconds):
+        self.timeout = seconds
+
+    def ping(self, id):
+        assert id not in self.models
+        self.time += 0.001 if self.noisy > 0 else self.timeout + 1e-6
+        self.noisy -= 1
+        raise BusError("no answer", self.reason)
+
+    def read(self, id, address, size):
+        self.reads.append(id)
+        if id in self.corrupt:
+            self.noisy = 2
+            raise BusError("broken answer", "corrupt")
+        if id in self.lost or id not in self.models:
+            if id in self.lost:
+                self.lost.remove(id)
+            self.time += self.timeout
+            raise BusError("no answer", self.reason)
+        number = self.models[id] if address == 3 else 0x1234
+        return number.to_bytes(size, "little"), 0
+
+
+def test_models_and_anomalies_of_a_scan(monkeypatch):
+    line = Line(monkeypatch, {1: 777, 2: 9999, 4: 777, 5: 777, 6: 777}, corrupt=[4], lost=[5, 6, 6])
+    found = _IdScan(line, "port", 1_000_000, "p1", 0.001).run(range(7))
+    unknown = (0x1234, 0, "not in the servo table")
+    servos = {s.id: (s.number, len(s.models), s.note.partition(":")[0]) for s in found}
+    assert servos == {
+        1: (777, 4, ""),
+        2: unknown,
+        4: (None, 0, "broken answer"),
+        5: (777, 4, ""),  # asked a second time
+    }
+    assert {(s.port, s.baudrate, s.protocol) for s in found} == {("port", 1_000_000, "p1")}
+
+
+def test_silent_ids_are_asked_again_only_if_a_servo_answers(monkeypatch):
+    line = Line(monkeypatch, {})
+    assert not _IdScan(line, "port", 1_000_000, "p1", 0.001).run(range(5))
+    assert line.reads == [*range(5)]
+
+
+@pytest.mark.parametrize(("count", "note"), [(1, "broken answer"), (2, "broken answers")])
+def test_a_line_with_only_corrupt_replies_is_bad(monkeypatch, count, note):
+    line = Line(monkeypatch, {}, corrupt=[*range(count)])
+    servos = _IdScan(line, "port", 1_000_000, "p1", 0.001).run(range(4))
+    assert [servo.note.partition(":")[0].partition(" from")[0] for servo in servos] == [
+        note
+    ] * count
+
+
+@pytest.mark.parametrize(("noisy", "is_silent"), [(0, True), (19, True), (20, False)])
+def test_a_line_has_twenty_pings_to_become_silent(monkeypatch, noisy, is_silent):
+    line = Line(monkeypatch, {1: 777}, noisy=noisy)
+    scanner = _IdScan(line, "port", 1_000_000, "p1", 0.001)
+    if is_silent:
+        assert [servo.id for servo in scanner.run(range(3))] == [1]
+        return
+    with pytest.raises(ServoError, match=r"port: .*never silent"):
+        scanner.run(range(3))
+
+
+def test_a_port_that_is_gone_ends_a_scan(monkeypatch):
+    for models, noisy in (({}, 0), ({1: 777}, 99)):
+        line = Line(monkeypatch, models, noisy=noisy, reason="gone")
+        with pytest.raises(BusError, match="no answer"):
+            _IdScan(line, "port", 1_000_000, "p1", 0.001).run(range(3))

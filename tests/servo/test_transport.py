@@ -5,6 +5,7 @@ import os
 import select
 import threading
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -340,3 +341,37 @@ def test_errors_of_the_driver_name_port_and_servo(text, id, message, reason, bla
     error = io._failed(RuntimeError(text), id)
     assert str(error).startswith(message)
     assert (error.reason, error.id) == (reason, blamed)
+
+
+@pytest.mark.parametrize(
+    ("text", "remedy"),
+    [
+        ("Permission denied", "join the group"),
+        ("Access is denied.", "join the group"),
+        ("Unable to acquire exclusive lock", "in use by another program"),
+        ("Device or resource busy", "in use by another program"),
+        ("No such file or directory", "there is no port p; there are: "),
+        ("No such device", "there is no port p; there are: "),
+        ("Not a typewriter", "p is not a serial port; there are: "),
+        ("Inappropriate ioctl for device", "p is not a serial port; there are: "),
+        ("Input/output error", "cannot open p: Input/output error"),
+    ],
+)
+def test_a_port_that_cannot_be_opened_has_its_remedy(text, remedy):
+    assert remedy in transport._cannot_open("p", text)
+
+
+@pytest.mark.parametrize(
+    ("error", "is_closed", "reason", "text"),
+    [
+        (TimeoutError(), False, "timeout", "cannot be sent"),
+        (OSError("unplugged"), False, "gone", "unplugged"),
+        (OSError("bad file descriptor"), True, "gone", "closed by another thread"),
+    ],
+)
+def test_an_error_of_the_port_is_named(error, is_closed, reason, text):
+    port = object.__new__(RustypotTransport)
+    port.port, port.serial = "p", SimpleNamespace(closed=is_closed)
+    found = port.lost(error)
+    assert found.reason == reason
+    assert text in str(found)

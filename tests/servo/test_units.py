@@ -5,13 +5,14 @@ import random
 from dataclasses import replace
 from itertools import pairwise
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from pliant import ConfigError
 from pliant.servo import ServoSpec, Units, get_model, list_models
-from pliant.servo.spec import at_voltage
+from pliant.servo.spec import at_voltage, servos_from_units
 
 specs = st.builds(
     ServoSpec,
@@ -86,8 +87,9 @@ def test_a_gear_turns_slower_and_pushes_harder():
     assert geared.stiffness(32) == pytest.approx(4 * direct.stiffness(32))
 
 
-def test_the_smallest_compliance_slope_is_one_count():
-    servo = joint("RX-64")
+@pytest.mark.parametrize("name", ["RX-64", "EX-106+"])
+def test_the_smallest_compliance_slope_is_one_count(name):
+    servo = joint(name)
     assert servo.stiffness(0) == servo.stiffness(1) == pytest.approx(2 * servo.stiffness(2))
 
 
@@ -95,6 +97,43 @@ def test_two_servos_share_the_torque():
     single, secondaries = joint("XM540-W270"), joint("XM540-W270", secondary=(2, -1))
     assert secondaries.usable(2047) == pytest.approx(2 * single.usable(2047))
     assert secondaries.register(4.0) == single.register(2.0)
+
+
+def test_gears_and_second_servos_scale_what_a_controller_gets():
+    plain = [joint(name) for name in ("XL430-W250", "XM540-W270")]
+    geared = [
+        joint(units.spec.model, gear_ratio=3.0, secondary=(2, 1), kp=kp)
+        for units, kp in zip(plain, (50.0, None), strict=True)
+    ]
+    one, both = (servos_from_units(units, [800, 900], [885, 2047]) for units in (plain, geared))
+    for name, factor in (("friction", 6.0), ("damping", 18.0), ("armature", 18.0)):
+        assert getattr(both, name) == pytest.approx(factor * np.asarray(getattr(one, name))), name
+    assert both.encoder_step == pytest.approx(np.asarray(one.encoder_step) / 3.0)
+    assert both.max_torque == pytest.approx(6.0 * np.asarray(one.max_torque))
+    assert both.kp == pytest.approx([50.0, 18.0 * one.kp[1]])
+    assert not both.stiffness_known
+    assert both.limit_type == one.limit_type == "current"
+    # Back-EMF of the servo without current limit: stall torque over no-load speed.
+    mechanics = [units.row.mechanics.damping for units in plain]
+    back_emf = plain[0].usable(885) / plain[0].no_load_speed
+    assert one.damping == pytest.approx([mechanics[0] + back_emf, mechanics[1]])
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"id": 0},
+        {"id": 253, "secondary": (252, -1)},
+        {"model": "XL430-W250", "id": 252},
+        {"sign": -1, "gear_ratio": 1e-3, "kp": 1e-3, "stall": 1e-3, "no_load": 1e-3},
+        {"friction": 0.0, "damping": 0.0, "torque_offset": 0.0},
+        {"lower": 0.5},
+        {"voltage": (0.5, 0.6)},
+    ],
+)
+def test_the_smallest_and_largest_values_are_valid(values):
+    spec = ServoSpec(**{"name": "j", "model": "MX-64", "id": 1, "port": "p", **values})
+    assert all(getattr(spec, name) == value for name, value in values.items())
 
 
 def test_a_duty_follows_the_voltage_and_a_current_does_not():

@@ -109,7 +109,7 @@ def _current_limited(  # noqa: PLR0917
     model_number: int,
     current_unit: float,
     current_max: int,
-    rated: tuple[float, float, float],
+    rated: tuple[float, float],
     stall: tuple[tuple[float, float], ...],
     no_load: tuple[tuple[float, float], ...],
     gain_default: int,
@@ -118,8 +118,8 @@ def _current_limited(  # noqa: PLR0917
 ) -> ServoModel:
     """Return a servo model whose torque limit is a current.
 
-    `rated` is (voltage [V], stall torque [N·m], stall current [A]). The other arguments are those
-    of `ServoModel`; `mechanics` None: estimated from the stall torque.
+    `rated` is (voltage [V], stall current [A]). The other arguments are those of `ServoModel`;
+    `mechanics` None: estimated from the stall torque at the rated voltage.
     """
     return ServoModel(
         name=name,
@@ -135,17 +135,17 @@ def _current_limited(  # noqa: PLR0917
         speed_unit=0.229,
         current_unit=current_unit,
         current_max=current_max,
-        stall_current=rated[2],
+        stall_current=rated[1],
         rated=rated[0],
         voltage=voltage,
-        mechanics=mechanics or estimated_mechanics(rated[1]),
+        mechanics=mechanics or estimated_mechanics(dict(stall)[rated[0]]),
     )
 
 
 def _duty_limited(  # noqa: PLR0917
     name: str,
     model_number: int,
-    rated: tuple[float, float],
+    rated: float,
     stall: tuple[tuple[float, float], ...],
     no_load: tuple[tuple[float, float], ...],
     gain_default: int,
@@ -153,7 +153,7 @@ def _duty_limited(  # noqa: PLR0917
 ) -> ServoModel:
     """Return a servo model whose torque limit is a PWM duty.
 
-    `rated` is (voltage [V], stall torque [N·m]). The other arguments are those of `ServoModel`.
+    The arguments are those of `ServoModel`.
     """
     return ServoModel(
         name=name,
@@ -167,9 +167,9 @@ def _duty_limited(  # noqa: PLR0917
         gain=DUTY_PER_RADIAN,
         gain_default=gain_default,
         speed_unit=0.229,
-        rated=rated[0],
+        rated=rated,
         voltage=voltage,
-        mechanics=estimated_mechanics(rated[1]),
+        mechanics=estimated_mechanics(dict(stall)[rated]),
     )
 
 
@@ -181,83 +181,83 @@ def _pairs(*pairs: float) -> tuple[tuple[float, float], ...]:
 _12V = (10.0, 14.8)
 MODELS = (
     _current_limited(
-        "XL330-M077", 1190, 0.001, 1750, (5.0, 0.215, 1.47),
+        "XL330-M077", 1190, 0.001, 1750, (5.0, 1.47),
         _pairs(3.7, 0.18, 5.0, 0.215, 6.0, 0.228), _pairs(3.7, 278, 5.0, 383, 6.0, 456),
         400, (3.7, 6.0),
     ),
     _current_limited(
-        "XL330-M288", 1200, 0.001, 1750, (5.0, 0.52, 1.47),
+        "XL330-M288", 1200, 0.001, 1750, (5.0, 1.47),
         _pairs(3.7, 0.42, 5.0, 0.52, 6.0, 0.60), _pairs(3.7, 76, 5.0, 103, 6.0, 123),
         400, (3.7, 6.0), Mechanics(friction=0.013, damping=0.0037, armature=0.0018),
     ),
     _current_limited(
-        "XC330-T181", 1210, 0.001, 910, (11.1, 0.76, 0.80),
+        "XC330-T181", 1210, 0.001, 910, (11.1, 0.80),
         _pairs(9.0, 0.65, 11.1, 0.76, 12.0, 0.80), _pairs(9.0, 83, 11.1, 104, 12.0, 113),
         900, (6.5, 12.0),
     ),
     _current_limited(
-        "XC330-T288", 1220, 0.001, 910, (11.1, 0.92, 0.80),
+        "XC330-T288", 1220, 0.001, 910, (11.1, 0.80),
         _pairs(9.0, 0.76, 11.1, 0.92, 12.0, 1.00), _pairs(9.0, 52, 11.1, 65, 12.0, 71),
         900, (6.5, 12.0),
     ),
     _current_limited(
-        "XM430-W210", 1030, 0.00269, 1193, (12.0, 3.0, 2.3),
+        "XM430-W210", 1030, 0.00269, 1193, (12.0, 2.3),
         _pairs(11.1, 2.7, 12.0, 3.0, 14.8, 3.7), _pairs(11.1, 70, 12.0, 77, 14.8, 95), 800, _12V,
     ),
     _current_limited(
-        "XM430-W350", 1020, 0.00269, 1193, (12.0, 4.1, 2.3),
+        "XM430-W350", 1020, 0.00269, 1193, (12.0, 2.3),
         _pairs(11.1, 3.8, 12.0, 4.1, 14.8, 4.8), _pairs(11.1, 43, 12.0, 46, 14.8, 57), 800, _12V,
     ),
     _current_limited(
-        "XM540-W150", 1130, 0.00269, 2047, (12.0, 7.3, 4.4),
+        "XM540-W150", 1130, 0.00269, 2047, (12.0, 4.4),
         _pairs(11.1, 6.9, 12.0, 7.3, 14.8, 8.9), _pairs(11.1, 50, 12.0, 53, 14.8, 66), 800, _12V,
     ),
     _current_limited(
-        "XM540-W270", 1120, 0.00269, 2047, (12.0, 10.6, 4.4),
+        "XM540-W270", 1120, 0.00269, 2047, (12.0, 4.4),
         _pairs(11.1, 10.0, 12.0, 10.6, 14.8, 12.9), _pairs(11.1, 28, 12.0, 30, 14.8, 37), 800, _12V,
     ),
     _current_limited(
-        "XH430-W210", 1010, 0.00269, 648, (12.0, 2.5, 1.3),
+        "XH430-W210", 1010, 0.00269, 648, (12.0, 1.3),
         _pairs(11.1, 2.2, 12.0, 2.5, 14.8, 3.1), _pairs(11.1, 46, 12.0, 50, 14.8, 62), 900, _12V,
     ),
     _current_limited(
-        "XH430-W350", 1000, 0.00269, 648, (12.0, 3.4, 1.3),
+        "XH430-W350", 1000, 0.00269, 648, (12.0, 1.3),
         _pairs(11.1, 3.1, 12.0, 3.4, 14.8, 4.2), _pairs(11.1, 27, 12.0, 30, 14.8, 37), 900, _12V,
     ),
     _current_limited(
-        "XH540-W150", 1110, 0.00269, 2047, (12.0, 7.1, 4.9),
+        "XH540-W150", 1110, 0.00269, 2047, (12.0, 4.9),
         _pairs(11.1, 6.6, 12.0, 7.1, 14.8, 8.5), _pairs(11.1, 66, 12.0, 70, 14.8, 86), 800, _12V,
     ),
     _current_limited(
-        "XH540-W270", 1100, 0.00269, 2047, (12.0, 9.9, 4.9),
+        "XH540-W270", 1100, 0.00269, 2047, (12.0, 4.9),
         _pairs(11.1, 9.2, 12.0, 9.9, 14.8, 11.7), _pairs(11.1, 36, 12.0, 39, 14.8, 46), 800, _12V,
     ),
     _current_limited(
-        "MX-64(2.0)", 311, 0.00336, 1941, (12.0, 6.0, 4.1),
+        "MX-64(2.0)", 311, 0.00336, 1941, (12.0, 4.1),
         _pairs(11.1, 5.5, 12.0, 6.0, 14.8, 7.3), _pairs(11.1, 58, 12.0, 63, 14.8, 78), 850, _12V,
         mechanics=Mechanics(friction=0.090, damping=0.012, armature=0.012),
     ),
     _current_limited(
-        "MX-106(2.0)", 321, 0.00336, 2047, (12.0, 8.4, 5.2),
+        "MX-106(2.0)", 321, 0.00336, 2047, (12.0, 5.2),
         _pairs(11.1, 8.0, 12.0, 8.4, 14.8, 10.0), _pairs(11.1, 41, 12.0, 45, 14.8, 55), 850, _12V,
         mechanics=Mechanics(friction=0.104, damping=0.035, armature=0.027),
     ),
     _duty_limited(
-        "MX-28(2.0)", 30, (12.0, 2.5),
+        "MX-28(2.0)", 30, 12.0,
         _pairs(11.1, 2.3, 12.0, 2.5, 14.8, 3.1), _pairs(11.1, 50, 12.0, 55, 14.8, 67), 850, _12V,
     ),
     _duty_limited(
-        "XL430-W250", 1060, (11.1, 1.4),
+        "XL430-W250", 1060, 11.1,
         _pairs(9.0, 1.0, 11.1, 1.4, 12.0, 1.5), _pairs(9.0, 47, 11.1, 57, 12.0, 61), 640,
         (6.5, 12.0),
     ),
     _duty_limited(
-        "XC430-W150", 1070, (12.0, 1.6),
+        "XC430-W150", 1070, 12.0,
         _pairs(9.0, 1.2, 11.1, 1.4, 12.0, 1.6), _pairs(9.0, 80, 11.1, 99, 12.0, 106), 460,
         (6.5, 14.8),
     ),
     _duty_limited(
-        "XC430-W240", 1080, (12.0, 1.9),
+        "XC430-W240", 1080, 12.0,
         _pairs(9.0, 1.4, 11.1, 1.7, 12.0, 1.9), _pairs(9.0, 52, 11.1, 65, 12.0, 70), 700,
         (6.5, 14.8),
     ),
