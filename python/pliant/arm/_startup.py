@@ -30,6 +30,9 @@ LEAD_FACTOR = 2.0
 FIRST_LEAD, LARGEST_LEAD = 0.03, 0.8
 #: Ratio of measured to assumed servo stiffness, or inverse ratio, above which the user is warned.
 MISMATCH = 1.5
+#: Weight over usable torque of a joint above which torque stays off: an arm that is that much
+#: lighter than its model would be thrown upwards by servos at their full torque.
+LARGEST_WEIGHT = 2.0
 #: Number of readings whose fastest counts, and largest share of `longest_command_age` that it may
 #: take: the rest is for the program and for other requests.
 READINGS, READING_SHARE = 3, 0.7
@@ -121,6 +124,28 @@ def check_within_limits(io: ArmIO, on: Mask) -> None:
             "calibration is wrong: `pliant servos doctor ARM --watch` shows the angles while a "
             "hand moves the joints; or it was pushed there: move it by hand into its range"
             + (" (joints have torque: support the arm, switch its supply off)" if on.any() else "")
+        )
+
+
+def check_weight(io: ArmIO, on: Mask) -> None:
+    """Check before torque is switched on that the weight of the model is one that servos may carry.
+
+    Joints with torque on, of the mask `on` (n,), are not checked: taking them over must not fail.
+
+    Raises:
+        ServoError: Joints need more than `LARGEST_WEIGHT` times their usable torque to hold the
+            present pose; the message names each, with the remedy.
+    """
+    weight, usable = np.abs(io.gravity()), np.asarray(io.servos.max_torque)
+    found = [
+        f"{io.model.joint_names[i]} needs {weight[i]:.3g} N·m, its servo has {usable[i]:.3g} N·m"
+        for i in np.flatnonzero(~on & (weight > LARGEST_WEIGHT * usable))
+    ]
+    if found:
+        raise ServoError(
+            f"to hold its weight in this pose {'; '.join(found)}: torque stays off. Check the mass "
+            "of the payload [kg] and its com [m], in [robot] or Model.from_urdf, the masses of the "
+            "URDF [kg], and the servo models; or move the arm by hand into a pose that needs less"
         )
 
 

@@ -22,6 +22,7 @@ from pliant.arm._shutdown import ExitMessages, descend, exit_cause, hold_positio
 from pliant.arm._signals import Signals, is_interrupted
 from pliant.arm._startup import (
     check_reading_time,
+    check_weight,
     check_within_limits,
     initial_commands,
     stiffness_mismatch,
@@ -176,8 +177,9 @@ class Arm:
 
         Raises:
             ServoTimeoutError: Joints do not answer; the message names them.
-            ServoError: A joint reads outside its limits, or the bus is too slow for `rate`, and
-                nothing was sent; or joints moved or did not confirm when torque came on.
+            ServoError: A joint reads outside its limits, or needs more than twice its torque to
+                carry its weight, or the bus is too slow for `rate`, and nothing was sent; or joints
+                moved or did not confirm when torque came on.
         """
         with self._supervisor.exclusive():
             if not self.enabled:
@@ -197,6 +199,7 @@ class Arm:
         # A joint that has torque already must be taken over, however slow the bus is.
         warning = check_reading_time(io, duration, self.rate, required=not on.any())
         check_within_limits(io, on)
+        check_weight(io, on)
         start_q = io.q
         start, limit, lead, carried = initial_commands(io, on)
         for name, gripper in self.grippers.items():
