@@ -36,6 +36,7 @@ from pliant.arm.thermal import Budget
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
     from contextlib import AbstractContextManager
+    from threading import Thread
     from types import TracebackType
 
     from numpy.typing import ArrayLike
@@ -133,6 +134,8 @@ class Arm:
         #: If a descent fails, it stays True, and the guardian takes the arm over.
         self._is_unfinished = False
         self._exit_message: str | None = None
+        #: Threads that `close` waits for once torque is off.
+        self._unfinished_threads: list[Thread] = []
         self._build()
         self.table = None if table is None else real(table, "table [m]")
         self.detour: str | None = None
@@ -321,6 +324,12 @@ class Arm:
             MESSAGES.flush()
             if self._signals is not None:
                 self._signals.deliver()
+        while self._unfinished_threads:
+            self._unfinished_threads.pop().join()
+
+    def finish_later(self, thread: Thread) -> None:
+        """Make `close` wait for a thread once torque is off; `Loop` ends its recorder like this."""
+        self._unfinished_threads.append(thread)
 
     def _descend(self, rest: Array | None) -> None:
         """Lower the arm via the pose `rest` (n,) [rad], or straight down if it is None.
