@@ -25,6 +25,7 @@ from pliant.arm._startup import (
     check_weight,
     check_within_limits,
     initial_commands,
+    may_lie_on,
     stiffness_mismatch,
     wait_for_all,
 )
@@ -232,7 +233,8 @@ class Arm:
                 self._release()
             raise
         self.leads = transfer_weight(io, self._points, start_q, carried, self.rate)
-        if text := stiffness_mismatch(io, self.leads):
+        is_supported = may_lie_on(self.table, self._points, io.q)
+        if text := stiffness_mismatch(io, self.leads, is_supported=is_supported):
             MESSAGES.post(text, logging.WARNING)
         io.set_watchdog(self._watchdog)
         self._supervisor.heartbeat[1] = 0.0
