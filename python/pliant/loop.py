@@ -36,6 +36,8 @@ if TYPE_CHECKING:
 
 
 LOG = logging.getLogger("pliant")
+#: Message where a loop runs over an arm without torque.
+TORQUE_OFF = "torque is off: use `with connect(...) as arm`, or arm.enable()"
 #: Time without new positions after which the controller is reset to the present pose [s].
 RESTART = 0.25
 #: Time step of the first controller step after a reset [s]. Goals move at a limited speed; in this
@@ -369,7 +371,7 @@ class Loop:
     def _supervised(self) -> Iterator[None]:
         """Return a context with the supervisor thread; the recorder is closed at its end."""
         if not self._arm.enabled:
-            raise ServoError("torque is off: use `with connect(...) as arm`, or arm.enable()")
+            raise ServoError(TORQUE_OFF)
         patience = max(self._max_step_time, self._arm.comm_timeout) + self.period + GRACE
         ended = False
         try:
@@ -451,6 +453,8 @@ class Loop:
                     index += 1
                     done = clock.now()
                     if done - now > self._max_step_time:
+                        if not arm.enabled:  # the program itself lowered the arm in this tick
+                            raise ServoError(TORQUE_OFF)
                         raise ServoTimeoutError(
                             f"the program did not come back for {done - now:.2f} s (max_step_time "
                             f"allows {self._max_step_time:g} s); the servos held meanwhile"

@@ -129,6 +129,13 @@ def test_leaving_the_loop_lowers(make):
     assert arm.drive.plant.tool[2, 3] < -0.6
 
 
+def test_a_loop_over_an_arm_that_the_program_lowered_says_that_torque_is_off(make):
+    with make() as arm, pytest.raises(pliant.ServoError, match="torque is off"):
+        for tick in pliant.Loop(arm):
+            arm.lower()
+            tick.skip()
+
+
 class SlowRecorder:
     """A recorder whose end takes until the torque of an arm is off, or for 5 s."""
 
