@@ -7,6 +7,7 @@ import math
 from array import array
 from bisect import bisect_right
 from contextlib import contextmanager
+from threading import Thread
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -35,6 +36,8 @@ if TYPE_CHECKING:
 
 
 LOG = logging.getLogger("pliant")
+#: Message where a loop runs over an arm without torque.
+TORQUE_OFF = "torque is off: use `with connect(...) as arm`, or arm.enable()"
 #: Time without new positions after which the controller is reset to the present pose [s].
 RESTART = 0.25
 #: Time step of the first controller step after a reset [s]. Goals move at a limited speed; in this
@@ -42,6 +45,8 @@ RESTART = 0.25
 PRIME = 0.1
 #: Time by which the arm's supervisor thread acts later than the loop when the program stalls [s].
 GRACE = 0.1
+#: Time for which the end of a loop waits for its recorder while the arm has torque [s].
+CLOSE_PATIENCE = 0.1
 #: Lowest rate of the loop [Hz], because the time step of a controller is at most 1 s.
 LOWEST = 1.0
 #: The delay is the median over `AVERAGE` commands. The controller gets a new median if it differs
@@ -129,6 +134,15 @@ class Commanded(Protocol):
     @property
     def torque_limit(self) -> Array:
         """Torque limits (n,) [N·m]."""
+
+
+def _close_quietly(recorder: TickRecorder, errors: list[OSError]) -> None:
+    """Close the recorder; write its `OSError` to the log and append it to `errors`."""
+    try:
+        recorder.close()
+    except OSError as error:
+        LOG.error("%s", error)
+        errors.append(error)
 
 
 class TickRecorder(Protocol):
@@ -254,7 +268,9 @@ class Loop:
         max_step_time: Longest time that the program may take in one tick [s]; inf: any time,
             without the thread; None: `arm.comm_timeout`.
         recorder: A `pliant.log.Recorder`, or an object with its `start`, `add` and `close`, which
-            receives every tick with its command. The loop starts it, and closes it at the end.
+            receives every tick with its command. The loop starts it, and closes it at the end. In
+            real time, an arm with torque waits for that 0.1 s at most; the rest is done while the
+            arm is lowered, and `Arm.close` waits for it once torque is off.
         realtime_priority: Priority (1 to 99) with the scheduling policy SCHED_FIFO of the thread
             that iterates, and of threads started in the loop, until the loop ends (Linux). Other
             programs then do not delay ticks, but a program that never waits in a tick delays them.
@@ -355,7 +371,7 @@ class Loop:
     def _supervised(self) -> Iterator[None]:
         """Return a context with the supervisor thread; the recorder is closed at its end."""
         if not self._arm.enabled:
-            raise ServoError("torque is off: use `with connect(...) as arm`, or arm.enable()")
+            raise ServoError(TORQUE_OFF)
         patience = max(self._max_step_time, self._arm.comm_timeout) + self.period + GRACE
         ended = False
         try:
@@ -374,8 +390,21 @@ class Loop:
         """Close the recorder; raise its `OSError` if `raises` is True, else write it to the log.
 
         After an exception in the loop, an `OSError` must not be raised, because it would replace
-        that exception.
+        that exception. In real time, an arm with torque does not wait for a slow disk or a busy
+        computer: nothing supervises it any more, and after an exception it must come down.
         """
+        if getattr(self._clock, "real_time", False) and self._arm.enabled:
+            errors: list[OSError] = []
+            thread = Thread(
+                target=_close_quietly, args=(recorder, errors), name="pliant-log", daemon=True
+            )
+            thread.start()
+            self._arm.finish_later(thread)
+            if raises:
+                thread.join(CLOSE_PATIENCE)
+                if errors and not thread.is_alive():
+                    raise errors[0]
+            return
         try:
             recorder.close()
         except OSError as error:
@@ -424,6 +453,8 @@ class Loop:
                     index += 1
                     done = clock.now()
                     if done - now > self._max_step_time:
+                        if not arm.enabled:  # the program itself lowered the arm in this tick
+                            raise ServoError(TORQUE_OFF)
                         raise ServoTimeoutError(
                             f"the program did not come back for {done - now:.2f} s (max_step_time "
                             f"allows {self._max_step_time:g} s); the servos held meanwhile"

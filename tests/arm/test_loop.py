@@ -3,6 +3,7 @@
 import os
 import threading
 import time
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
@@ -126,6 +127,50 @@ def test_leaving_the_loop_lowers(make):
                 break
     assert not arm.enabled
     assert arm.drive.plant.tool[2, 3] < -0.6
+
+
+def test_a_loop_over_an_arm_that_the_program_lowered_says_that_torque_is_off(make):
+    with make() as arm:
+        ticks = iter(pliant.Loop(arm))
+        tick = next(ticks)
+        arm.lower()
+        tick.skip()
+        with pytest.raises(pliant.ServoError, match="torque is off"):
+            next(ticks)
+
+
+class SlowRecorder:
+    """A recorder whose end takes until the torque of an arm is off, or for 5 s."""
+
+    def __init__(self, arm):
+        self.arm, self.was_off, self.is_closed = arm, None, False
+
+    def start(self, arm, controller, rate):
+        return controller
+
+    def add(self, tick, command):
+        pass
+
+    def close(self):
+        end = time.monotonic() + 5.0
+        while self.arm.enabled and time.monotonic() < end:
+            time.sleep(0.005)
+        self.was_off = not self.arm.enabled
+        time.sleep(0.3)
+        self.is_closed = True
+
+
+@pytest.mark.parametrize("error", [None, KeyError], ids=["duration", "exception"])
+def test_an_arm_in_real_time_does_not_wait_for_its_recorder(error):
+    arm = bare_arm("koch", real_time=True, handle_signals=False, on_exit="leave_enabled")
+    recorder = SlowRecorder(arm)
+    with nullcontext() if error is None else pytest.raises(error), arm:
+        for tick in pliant.Loop(arm, duration=0.05, recorder=recorder):
+            tick.skip()
+            if error is not None:
+                raise error
+    assert recorder.was_off
+    assert recorder.is_closed
 
 
 def test_other_threads_run_while_the_loop_waits():

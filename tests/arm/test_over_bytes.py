@@ -82,6 +82,19 @@ def test_a_joint_whose_zero_is_far_off_gets_no_torque(counts, starts):
         arm.close()
 
 
+@pytest.mark.parametrize(
+    "payload", [(300.0, [0.0, 0.0, 0.0]), (0.3, [0.0, 0.0, 20.0])], ids=["grams", "millimetres"]
+)
+def test_an_arm_far_too_heavy_for_its_servos_gets_no_torque(payload):
+    with arm_over_bytes("sts", [0.0, -0.5, 0.5, 0.8, 0.0]) as (bus, arm):
+        model = pliant.robots.load("so101", payload=payload)
+        heavy = Arm(model, arm.drive, handle_signals=False)
+        with pytest.raises(pliant.ServoError, match=r"shoulder_lift needs .*payload.*com"):
+            heavy.enable()
+        assert not any(bus.log.order(k) for k in range(1, 7))
+        heavy.close()
+
+
 @pytest.mark.parametrize("family", FAMILIES)
 def test_enabled_in_order_controlled_and_held(family):
     with arm_over_bytes(family, [0.1, 0.2, 0.2, 0.1, 0.0]) as (bus, arm):

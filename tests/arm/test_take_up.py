@@ -9,6 +9,7 @@ from bare_arm import bare_arm
 import pliant
 from pliant._core import SUPPORT
 from pliant.arm._checks import longest_command_age
+from pliant.arm._messages import MESSAGES
 from pliant.arm._shutdown import UNKNOWN_TIME, _wait_for_silent
 from pliant.arm._startup import (
     ATTEMPTS,
@@ -16,6 +17,7 @@ from pliant.arm._startup import (
     check_within_limits,
     full_lead,
     initial_commands,
+    may_lie_on,
     stiffness_mismatch,
     wait_for_all,
 )
@@ -273,6 +275,39 @@ def test_a_stiffness_is_judged_by_leads_that_are_large_enough():
     ):
         assert not is_warned(*accepted), accepted
         assert is_warned(*warned), warned
+
+
+def test_an_arm_that_lies_on_its_table_is_not_called_stiff(monkeypatch):
+    """After each ending the arm lies on the table, which carries part of its weight."""
+    texts, post = [], MESSAGES.post
+
+    def record(text, *arguments, **options):
+        texts.append(text)
+        return post(text, *arguments, **options)
+
+    monkeypatch.setattr(MESSAGES, "post", record)
+    options = {"backend": "sim", "handle_signals": False, "q": [0.0, -0.5, 0.5, 0.8, 0.0]}
+    with pliant.connect("so101", **options) as arm:
+        arm.lower()
+        arm.enable()
+        lying = arm.read().q
+        share = arm.leads[2] * arm.servos.kp[2] / arm.model.gravity(lying)[2]
+        arm.disable_torque()
+    assert share < 0.5, "the table carries most of the weight of the forearm"
+    assert not any("stiffer or softer" in text for text in texts)
+    assert may_lie_on(arm.table, arm._points, lying)
+    assert not may_lie_on(arm.table, arm._points, np.array([0.0, -0.3, 0.3, 0.9, 0.0]))
+    assert not may_lie_on(None, arm._points, lying)
+
+
+def test_only_a_lead_that_is_too_large_tells_about_the_servos_of_a_supported_arm():
+    arm = bare_arm("so101")
+    weights, kp = np.array([0.0, 1.0, 0.0, 0.0, 0.0]), np.asarray(arm.servos.kp)
+    io = SimpleNamespace(servos=arm.servos, model=arm.model, gravity=lambda: weights)
+    for share, is_warned in ((0.2, False), (-0.5, False), (2.0, True)):
+        leads = share * weights / kp
+        assert stiffness_mismatch(io, leads) is not None
+        assert (stiffness_mismatch(io, leads, is_supported=True) is not None) is is_warned
 
 
 @pytest.mark.parametrize("dt", [0.004, 0.02])

@@ -88,6 +88,19 @@ def test_a_packaged_arm_moves_over_a_pseudo_terminal(name):
 
 
 @pytest.mark.pty
+def test_emulated_servos_have_the_baud_rate_of_their_port():
+    fast = config.load("so101")
+    port = fast.port[0].model_copy(update={"baud": 115_200})
+    arm_config = fast.model_copy(update={"port": [port]})
+    with make_emulator(arm_config, clock="steps") as bus:
+        specs = factory.servo_specs(arm_config, bus.ports)
+        servo_bus = ServoBus(specs, baudrate=115_200, reply_timeout_min=0.2, clock=ManualClock(bus))
+        servo_bus.open()
+        assert len(servo_bus.found) == 6
+        servo_bus.close()
+
+
+@pytest.mark.pty
 def test_a_packaged_arm_moves_with_an_emulator_process():
     options = {"rate": 20.0, "comm_timeout": 20.0, "handle_signals": False}
     with pliant.connect("arm7", backend="emulator", **options) as arm:

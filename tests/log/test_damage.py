@@ -120,3 +120,16 @@ def test_a_cut_log_is_replayed_up_to_there_and_a_damaged_one_is_not(
         Motion.load(path)
     assert main(["log", "info", str(path)]) == 0
     assert "damaged: the record at byte" in capsys.readouterr().out
+
+
+def test_the_verification_of_a_damaged_log_names_the_damage(recording, damaged, capsys):
+    content, _ = recording
+    broken = bytearray(content)
+    broken[len(broken) * 3 // 4] ^= 0xFF
+    assert len(read(damaged(broken)).calls) > 0
+    assert main(["log", "verify", str(damaged(broken))]) == 0
+    assert "damaged: the record at byte" in capsys.readouterr().out
+    assert main(["log", "verify", str(damaged(content[: 3 * len(content) // 4]))]) == 0
+    assert "the log ends early" in capsys.readouterr().out
+    assert main(["log", "verify", str(damaged(content[: len(content) // 4]))]) == 2
+    assert "has no command to compare" in capsys.readouterr().err

@@ -480,6 +480,26 @@ def test_a_servo_outside_its_range_is_not_switched_on(emulated):
         assert not bus.log.writes()
 
 
+@pytest.mark.parametrize("kind", ["sts", "ex"])
+def test_a_servo_on_its_stop_moves_back_into_its_range(emulated, kind):
+    with emulated(kind, 1, clock="steps", spec={"lower": 0.04, "upper": 0.9}) as (bus, servo_bus):
+        start = servo_bus.read().position
+        assert start[0] == pytest.approx(0.0, abs=0.002)
+        servo_bus.enable(start, [1.0])
+        for _ in range(30):
+            bus.advance(0.02)
+            end = servo_bus.read().position
+        assert end[0] == pytest.approx(0.04, abs=0.02)
+
+
+def test_a_servo_that_holds_outside_its_range_is_taken_over(emulated):
+    spec = {"lower": 0.3, "upper": 0.9}
+    with emulated("sts", 1, clock="steps", spec=spec) as (bus, servo_bus):
+        bus.servo(1).put("torque_enable", 1)
+        servo_bus.enable(servo_bus.read().position, [1.0])
+        assert servo_bus.enabled.all()
+
+
 def test_positions_go_on_across_the_seam(emulated, enabled):
     # A multi-turn servo with its zero near the seam, 96 counts before the end of the turn.
     spec = {"zero": 4000.0, "lower": -1.0, "upper": 1.0}

@@ -13,6 +13,7 @@ from pliant._core import SUPPORT, ServoError, ServoTimeoutError
 from pliant.arm._checks import longest_command_age, outside
 
 if TYPE_CHECKING:
+    from pliant._core import ArmPoints
     from pliant._typing import Array, Mask
     from pliant.arm._io import ArmIO
 
@@ -30,6 +31,11 @@ LEAD_FACTOR = 2.0
 FIRST_LEAD, LARGEST_LEAD = 0.03, 0.8
 #: Ratio of measured to assumed servo stiffness, or inverse ratio, above which the user is warned.
 MISMATCH = 1.5
+#: Weight over usable torque of a joint above which torque stays off: an arm that is that much
+#: lighter than its model would be thrown upwards by servos at their full torque.
+LARGEST_WEIGHT = 2.0
+#: Largest distance of the surface of a link from the points of the arm [m].
+LINK_RADIUS = 0.03
 #: Number of readings whose fastest counts, and largest share of `longest_command_age` that it may
 #: take: the rest is for the program and for other requests.
 READINGS, READING_SHARE = 3, 0.7
@@ -124,6 +130,28 @@ def check_within_limits(io: ArmIO, on: Mask) -> None:
         )
 
 
+def check_weight(io: ArmIO, on: Mask) -> None:
+    """Check before torque is switched on that the weight of the model is one that servos may carry.
+
+    Joints with torque on, of the mask `on` (n,), are not checked: taking them over must not fail.
+
+    Raises:
+        ServoError: Joints need more than `LARGEST_WEIGHT` times their usable torque to hold the
+            present pose; the message names each, with the remedy.
+    """
+    weight, usable = np.abs(io.gravity()), np.asarray(io.servos.max_torque)
+    found = [
+        f"{io.model.joint_names[i]} needs {weight[i]:.3g} N·m, its servo has {usable[i]:.3g} N·m"
+        for i in np.flatnonzero(~on & (weight > LARGEST_WEIGHT * usable))
+    ]
+    if found:
+        raise ServoError(
+            f"to hold its weight in this pose {'; '.join(found)}: torque stays off. Check the mass "
+            "of the payload [kg] and its com [m], in [robot] or Model.from_urdf, the masses of the "
+            "URDF [kg], and the servo models; or move the arm by hand into a pose that needs less"
+        )
+
+
 def initial_commands(io: ArmIO, on: Mask) -> tuple[Array, Array, Array, Mask]:
     """Return first goals, limits, leads (n,), and a mask (n,) of joints taken over.
 
@@ -164,7 +192,15 @@ def full_lead(torque: Array, kp: Array) -> Array:
     return lead
 
 
-def stiffness_mismatch(io: ArmIO, leads: Array) -> str | None:
+def may_lie_on(table: float | None, points: ArmPoints, q: Array) -> bool:
+    """Return True if a point of the arm at q (n,) [rad] is within `LINK_RADIUS` of the table.
+
+    `table` is the height of the table in base axes [m]; None: there is no table.
+    """
+    return table is not None and bool(points.position(q)[:, 2].min() < table + LINK_RADIUS)
+
+
+def stiffness_mismatch(io: ArmIO, leads: Array, *, is_supported: bool = False) -> str | None:
     """Return a warning about joints whose lead does not match the assumed stiffness, or None.
 
     The lead (goal minus position) that carries a joint is gravity torque over servo stiffness. A
@@ -174,6 +210,8 @@ def stiffness_mismatch(io: ArmIO, leads: Array) -> str | None:
     Args:
         io: Read access to the arm, at rest.
         leads: Leads that carry the joints, from `transfer_weight` (n,) [rad].
+        is_supported: True if the arm may lie on an object, which carries part of its weight. Only
+            leads that are too large then tell about the servos.
     """
     servos, weight = io.servos, io.gravity()
     expected = weight / np.asarray(servos.kp)
@@ -182,6 +220,8 @@ def stiffness_mismatch(io: ArmIO, leads: Array) -> str | None:
     with np.errstate(invalid="ignore", divide="ignore"):
         ratio = expected / leads
     differs = clear & np.isfinite(ratio) & ((ratio > MISMATCH) | (ratio < 1.0 / MISMATCH))
+    if is_supported:
+        differs &= (ratio > 0.0) & (ratio < 1.0)
     if not differs.any():
         return None
     names = io.model.joint_names

@@ -22,8 +22,10 @@ from pliant.arm._shutdown import ExitMessages, descend, exit_cause, hold_positio
 from pliant.arm._signals import Signals, is_interrupted
 from pliant.arm._startup import (
     check_reading_time,
+    check_weight,
     check_within_limits,
     initial_commands,
+    may_lie_on,
     stiffness_mismatch,
     wait_for_all,
 )
@@ -35,6 +37,7 @@ from pliant.arm.thermal import Budget
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
     from contextlib import AbstractContextManager
+    from threading import Thread
     from types import TracebackType
 
     from numpy.typing import ArrayLike
@@ -133,6 +136,8 @@ class Arm:
         #: If a descent fails, it stays True, and the guardian takes the arm over.
         self._is_unfinished = False
         self._exit_message: str | None = None
+        #: Threads that `close` waits for once torque is off.
+        self._unfinished_threads: list[Thread] = []
         self._build()
         self.table = None if table is None else real(table, "table [m]")
         self.detour: str | None = None
@@ -177,8 +182,9 @@ class Arm:
 
         Raises:
             ServoTimeoutError: Joints do not answer; the message names them.
-            ServoError: A joint reads outside its limits, or the bus is too slow for `rate`, and
-                nothing was sent; or joints moved or did not confirm when torque came on.
+            ServoError: A joint reads outside its limits, or needs more than twice its torque to
+                carry its weight, or the bus is too slow for `rate`, and nothing was sent; or joints
+                moved or did not confirm when torque came on.
         """
         with self._supervisor.exclusive():
             if not self.enabled:
@@ -198,6 +204,7 @@ class Arm:
         # A joint that has torque already must be taken over, however slow the bus is.
         warning = check_reading_time(io, duration, self.rate, required=not on.any())
         check_within_limits(io, on)
+        check_weight(io, on)
         start_q = io.q
         start, limit, lead, carried = initial_commands(io, on)
         for name, gripper in self.grippers.items():
@@ -227,7 +234,8 @@ class Arm:
                 self._release()
             raise
         self.leads = transfer_weight(io, self._points, start_q, carried, self.rate)
-        if text := stiffness_mismatch(io, self.leads):
+        is_supported = may_lie_on(self.table, self._points, io.q)
+        if text := stiffness_mismatch(io, self.leads, is_supported=is_supported):
             MESSAGES.post(text, logging.WARNING)
         io.set_watchdog(self._watchdog)
         self._supervisor.heartbeat[1] = 0.0
@@ -319,6 +327,12 @@ class Arm:
             MESSAGES.flush()
             if self._signals is not None:
                 self._signals.deliver()
+        while self._unfinished_threads:
+            self._unfinished_threads.pop().join()
+
+    def finish_later(self, thread: Thread) -> None:
+        """Make `close` wait for a thread once torque is off; `Loop` ends its recorder like this."""
+        self._unfinished_threads.append(thread)
 
     def _descend(self, rest: Array | None) -> None:
         """Lower the arm via the pose `rest` (n,) [rad], or straight down if it is None.

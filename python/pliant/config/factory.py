@@ -450,7 +450,7 @@ def make_emulator(config: Config, *, q: ArrayLike | None = None, **options: Any)
     """Create an emulator of the arm of a configuration; it is not started yet.
 
     The arm stands on the configuration's table, and is held in place until torque is switched on.
-    The supply has the configuration's voltage.
+    The supply has the configuration's voltage, the servos on a port have its baud rate.
 
     Args:
         config: The configuration.
@@ -463,6 +463,7 @@ def make_emulator(config: Config, *, q: ArrayLike | None = None, **options: Any)
     plant = dict(options.pop("plant", None) or {})
     plant["scene"] = [*table_fixtures(config), *plant.get("scene", ())]
     start = start_pose(config, model) if q is None else q
+    options.setdefault("baud", {port.name: port.baud for port in config.port})
     bus = emulate(model, make_mounts(config), start, plant=plant, held=True, **options)
     check_above_table(bus.plant)
     if config.supply.voltage is not None:

@@ -16,7 +16,7 @@ from pliant.emulator.simulation import Simulation
 from pliant.emulator.timing import Timing
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from pliant.emulator.motion import Physics
     from pliant.emulator.servo import Servo
@@ -37,7 +37,8 @@ class Emulator:
         faults: Injected faults; none by default.
         clock: `real`: emulated time follows the wall clock. `steps`: it advances only by calls of
             `advance` and, with wire timing, by the duration of transactions.
-        baud: Baud rate of all servos whose device sets no `baud_rate` [bit/s].
+        baud: Baud rate of all servos whose device sets no `baud_rate` [bit/s], or a mapping from
+            ports to baud rates; servos on other ports have their factory's.
         log: Capacity of the log [transactions].
 
     Attributes:
@@ -61,7 +62,7 @@ class Emulator:
         timing: Timing | None = None,
         faults: Faults | None = None,
         clock: Clock = "real",
-        baud: int = 1_000_000,
+        baud: int | Mapping[str, int] = 1_000_000,
         log: int = 20_000,
     ) -> None:
         if not devices:
@@ -70,7 +71,8 @@ class Emulator:
             raise ConfigError(f"clock is 'real' or 'steps', got {clock!r}")
         self.timing, self.faults = timing or Timing(), faults or Faults()
         self.log, self._clock = Log(log), clock
-        built = [(device.port, device.build(baud)) for device in devices]
+        rates = dict.fromkeys((d.port for d in devices), baud) if isinstance(baud, int) else baud
+        built = [(device.port, device.build(rates.get(device.port))) for device in devices]
         self.world = Simulation([servo for _, servo in built], physics)
         self.lines = {
             name: SerialLine(

@@ -369,10 +369,14 @@ def _check_state(device: Device, ports: Ports, goal: Sequence[float]) -> Registe
             "present position as goal, and move it afterwards"
         )
     raw = round(device.position)
-    if not device.multi_turn and not device.low <= raw <= device.high:
+    # A joint pressed against its stop reads a little outside of the range that was calibrated
+    # there; torque moves it back by less than `MAX_MOTION`.
+    slack = 0 if device.multi_turn else MAX_MOTION / device.units.count
+    is_far = not device.low - slack <= raw <= device.high + slack
+    if not device.multi_turn and is_far and not image["torque_enable"]:
         raise ServoError(
-            f"{device.name} is at count {raw}, outside of {device.low} to {device.high} where its "
-            "goals may be, and would jump there: move it by hand"
+            f"{device.name} is at count {raw}, more than {slack:.0f} outside of {device.low} to "
+            f"{device.high} where its goals may be, and would jump there: move it by hand"
         )
     return image
 

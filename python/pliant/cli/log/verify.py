@@ -12,9 +12,14 @@ def run(log: LogFile) -> None:
     Args:
         log: MCAP file of `pliant run --log` or `pliant.log.Recorder`.
     """
+    from pliant import ConfigError
     from pliant.log import read, verify
 
-    result = verify(read(log))
+    recorded = read(log)
+    result = verify(recorded)
+    if result.steps == 0:
+        damage = f"; it is damaged: {recorded.damage}" if recorded.damage else ""
+        raise ConfigError(f"{log} has no command to compare{damage}")
     line = (
         f"recomputed: {result.steps} commands, all identical bit for bit"
         if result.same
@@ -22,3 +27,7 @@ def run(log: LogFile) -> None:
         f"{result.largest:.2g} rad" + (" (calls are missing)" if result.missing else "")
     )
     print_line(line)
+    if recorded.damage:
+        print_line(f"damaged: {recorded.damage}; only the commands before the damage were compared")
+    elif not recorded.whole:
+        print_line("the log ends early: only the commands up to there were compared")
