@@ -2,9 +2,10 @@
 
 use std::sync::Arc;
 
-use pliant_core::params::{Axis, CompliantSide, Law, PaperOptions, Settings, Tracking};
+use pliant_core::params::{Axis, CompliantSide, Damping, Law, NullSpace, PaperOptions, Projector, Settings, Tracking};
 use pliant_core::{Controller, Model, ModelOptions, Pose, Servos, SimdLevel, StepInput};
 
+use crate::many::{Arms, single};
 use crate::seeded::{self, Random};
 
 /// Number of ticks of a comparison. Miri takes seconds for each.
@@ -106,6 +107,44 @@ fn one_instruction_set_is_deterministic() {
             let (q, target) = state(&model, tick);
             let want = *one.step(&q, &target, &StepInput::default()).unwrap();
             assert_eq!(*other.step(&q, &target, &StepInput::default()).unwrap(), want);
+        }
+    }
+}
+
+/// The step without optional features is compiled for itself. An optional input, here a gradient of zeros, selects the
+/// step with all features.
+#[test]
+fn a_plain_step_equals_a_step_with_all_features() {
+    let model = arm();
+    let endless = Axis { max_velocity: Some(f64::INFINITY), soft_step_limit: Some(f64::INFINITY), ..Axis::default() };
+    for (case, axis) in [(0, Axis::default()), (1, endless)] {
+        let mut settings = Settings {
+            axes: [axis; 6],
+            tracking: Tracking { damping: Damping::Fixed(0.02), ..Settings::paper().tracking },
+            null_space: NullSpace { projector: Projector::Paper, limit_avoidance: 0.1, ..Settings::paper().null_space },
+            ..Settings::paper()
+        };
+        (settings.axes[1].yields, settings.axes[1].adaptation) = (Some(CompliantSide::Both), 0.9);
+        for set in SimdLevel::available() {
+            let servos = Servos { stiffness_known: true, ..Servos::new(vec![100.0], vec![10.0]) };
+            let mut plain = Controller::new(Arc::clone(&model), settings.clone(), Some(servos)).unwrap();
+            plain.set_simd_level(set);
+            let mut other = plain.clone();
+            let arms = Arms::new(&mut Random::new(case), &model, TICKS.min(200));
+            for (tick, (q, target)) in arms.q.chunks(7).zip(&arms.poses).enumerate() {
+                let got = single(&mut plain, q, target, &StepInput::default());
+                let gradient = Some([0.0; 7].as_slice());
+                let want = single(&mut other, q, target, &StepInput { gradient, ..StepInput::default() });
+                assert_eq!(got, want, "{set}, case {case}, tick {tick}");
+                assert_eq!(plain.diagnostics(), other.diagnostics(), "{set}, case {case}, tick {tick}");
+                assert_eq!(plain.snapshot(), other.snapshot(), "{set}, case {case}, tick {tick}");
+            }
+            // The record of a step is that of the settings and the delay with which it ran.
+            for controller in [&mut plain, &mut other] {
+                controller.set_delay(0.3).unwrap();
+                controller.update(Settings::default()).unwrap();
+            }
+            assert_eq!(plain.diagnostics(), other.diagnostics(), "{set}, case {case}");
         }
     }
 }

@@ -6,7 +6,7 @@ use crate::command::torque_limit::LimitTerms;
 use crate::law::{LawInput, LawOutput};
 use crate::math::rows::tr_mul;
 use crate::math::simd::{F64x8, JointVector, RealOps};
-use crate::params::{Params, Settings};
+use crate::params::{Features, Params, Settings};
 use crate::task::ArmState;
 use crate::task::demand::AxisDemand;
 
@@ -54,21 +54,27 @@ impl<J: JointVector> JointTargets<J> {
         (motion, budget): (LawOutput<J>, Option<J>),
     ) -> Self {
         let (kp, compliance) = (J::load(&params.servos.kp), J::load(&params.servos.compliance));
-        let (mut soft_offset, mut friction) = (motion.soft_offset, motion.feed_forward);
+        let (mut soft_offset, mut friction, mut feed_forward) =
+            (motion.soft_offset, motion.feed_forward, motion.feed_forward);
         // Soft offset and friction feed-forward are zero under law `paper`.
-        if params.law.by_force() {
+        if input.features.law.by_force() {
             let (lower, upper) = (J::load(&params.lower), J::load(&params.upper));
             soft_offset = fade_past_limit(soft_offset, arm.q, lower, upper, params.limit_fade_slope);
             friction = fade_past_limit(friction * compliance, arm.q, lower, upper, params.limit_fade_slope);
+            feed_forward = kp * friction;
         }
-        let q_gravity_offset = arm.gravity_in_goal * J::load(&params.gravity_compliance);
+        let q_gravity_offset = if input.features.gravity {
+            arm.gravity_in_goal * J::load(&params.gravity_compliance)
+        } else {
+            J::splat(0.0)
+        };
         Self {
             motion: LawOutput { soft_offset, ..motion },
             budget,
             q_goal: arm.q + input.integral + motion.stiff_offset + motion.null,
             q_force_offset: soft_offset + friction + q_gravity_offset,
             q_gravity_offset,
-            feed_forward: kp * friction,
+            feed_forward,
         }
     }
 
@@ -103,9 +109,9 @@ impl<J: JointVector> JointTargets<J> {
 
     /// Returns the goals before the slew [rad]. Under law `paper` their lead is at most [`lead_limit`].
     #[inline(always)]
-    pub(crate) fn goal(&self, params: &Params, settings: &Settings, limit: J) -> J {
+    pub(crate) fn goal(&self, params: &Params, settings: &Settings, features: Features, limit: J) -> J {
         let mut goal = self.q_goal + self.q_force_offset;
-        if !params.law.by_force() {
+        if !features.law.by_force() {
             let lead = self.motion.stiff_offset + self.motion.null;
             goal = goal + (J::clamp_abs(lead, lead_limit(params, settings, limit)) - lead);
         }
@@ -140,6 +146,9 @@ pub(crate) struct Goals<J> {
 /// slows the others. A NaN goal stays NaN, so that the step can refuse to send it.
 #[inline(always)]
 pub(crate) fn slew<J: JointVector>(before: Goals<J>, to: Goals<J>, step: f64) -> (Goals<J>, f64) {
+    if step.is_infinite() {
+        return (to, 1.0);
+    }
     let step = J::splat(step);
     let lift = J::clamp_abs(to.gravity_offset - before.gravity_offset, step);
     let motion = (to.goal - to.gravity_offset) - (before.goal - before.gravity_offset);

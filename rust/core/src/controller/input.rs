@@ -23,6 +23,14 @@ pub struct StepInput<'a> {
     pub posture: Option<&'a [f64]>,
 }
 
+impl StepInput<'_> {
+    /// Returns true if all inputs except the period are absent.
+    #[inline]
+    pub(super) fn has_period_only(&self) -> bool {
+        self.dq.is_none() & self.twist.is_none() & self.gradient.is_none() & self.posture.is_none()
+    }
+}
+
 /// Lower bound on the time between two readings [s], so that two readings at the same time do not give an infinite
 /// speed.
 const SHORTEST_PERIOD: f64 = 1e-6;
@@ -31,7 +39,6 @@ const SHORTEST_PERIOD: f64 = 1e-6;
 const LONGEST_PERIOD: f64 = 1.0;
 
 /// Validated inputs of a step; an absent input is `None`.
-#[derive(Default)]
 pub(super) struct Input {
     pub(super) dt: f64,
     pub(super) dq: Option<JointVec>,
@@ -41,11 +48,16 @@ pub(super) struct Input {
 }
 
 impl Input {
+    /// Creates the input of a step without optional inputs; `dt` is the time since the last step [s].
+    #[inline(always)]
+    pub(super) fn new(dt: f64) -> Self {
+        Self { dt, dq: None, twist: None, gradient: None, rest: None }
+    }
+
     /// Checks the input of a step and stores it in `self`. Returning the large, mostly empty struct by value would copy
     /// it.
     #[inline]
-    pub(super) fn read(&mut self, model: &Model, params: &Params, rate: f64, input: &StepInput<'_>) -> Result<()> {
-        self.dt = period(input.dt.unwrap_or(1.0 / rate))?;
+    pub(super) fn read(&mut self, model: &Model, params: &Params, input: &StepInput<'_>) -> Result<()> {
         if let Some(twist) = input.twist {
             self.twist = Some(checked_twist(twist)?);
         }

@@ -33,10 +33,11 @@ pub use input::StepInput;
 pub(crate) use input::period;
 pub use snapshot::Snapshot;
 
+use diagnostics::PlainRecord;
 use input::Input;
 use payload_ramp::{PayloadRamp, mass_moment};
 use state::State;
-use step::StepContext;
+use step::{PlainStep, Step};
 
 /// Compliant task-space controller of one arm.
 #[derive(Debug, Clone)]
@@ -155,7 +156,7 @@ impl Controller {
         out: BatchCommand<'_>,
     ) -> Result<()> {
         let count = self.batch(input).check(&out)?;
-        self.read(&StepInput { dt: input.dt, ..StepInput::default() }, &mut Input::default())?;
+        self.period(input.dt)?;
         match state {
             None => {
                 let mut free = self.clone();
@@ -236,6 +237,8 @@ impl Controller {
         if let Some(compliance) = self.captured {
             params.gravity_compliance = compliance;
         }
+        // The record is that of a step with the previous settings.
+        self.diagnostics = self.record();
         // Keep a measured delay unless the new settings change the delay.
         if settings.delay.to_bits() != self.settings.delay.to_bits() {
             self.delay = settings.delay;
@@ -294,6 +297,7 @@ impl Controller {
         if !(0.0..=0.5).contains(&delay) {
             return Err(Error::out_of_range("delay [s]", delay, "[0, 0.5]"));
         }
+        self.diagnostics = self.record();
         self.delay = delay;
         self.params.set_delay(delay, &self.settings);
         Ok(())
@@ -414,10 +418,20 @@ impl Controller {
         self.state.limit.map(|_| &self.command)
     }
 
+    /// Returns the record of the last step, completed after a plain step.
+    fn record(&self) -> Diagnostics {
+        let mut record = self.diagnostics;
+        if record.is_partial {
+            let (params, settings, chain) = (&self.params, &self.settings, self.model.chain());
+            self.simd_level.dispatch_narrow(PlainRecord { params, settings, chain, record: &mut record });
+        }
+        record
+    }
+
     /// Returns the intermediate results of the last step.
     pub fn diagnostics(&self) -> Diagnostics {
-        let mut diagnostics = self.diagnostics;
-        if !self.params.uses_gravity {
+        let mut diagnostics = self.record();
+        if !self.params.features.gravity {
             diagnostics.gravity = self.holding_torques(&diagnostics.q);
         }
         for i in 0..self.params.n {
@@ -451,42 +465,42 @@ impl Controller {
     /// Returns the factor ≤ 1 on the gain K_x, required by the delay; under law `impedance`, the factor on the
     /// stiffness in the last step, required by delay and pose.
     pub fn gain_factor(&self) -> f64 {
-        law::gain_factor(&self.params, self.diagnostics.gain_factor)
+        law::gain_factor(&self.params, self.record().gain_factor)
     }
 
     /// Returns the factor ≤ 1 on the damping of law `impedance` in the last step, required by delay and pose; 1 under
     /// the other laws.
     pub fn damping_factor(&self) -> f64 {
-        law::damping_factor(&self.params, &self.diagnostics.rows)
+        law::damping_factor(&self.params, &self.record().rows)
     }
 
     /// Returns the smallest and the largest singular value of the last step's task rows, with translations divided by
     /// the arm's length.
     pub fn sigma_range(&self) -> [f64; 2] {
-        self.diagnostics.sigma(&self.params)
+        self.record().sigma(&self.params)
     }
 
     /// Returns all singular values of the last step's task rows, with translations divided by the arm's length, largest
     /// first.
     pub fn singular_values(&self) -> DVector<f64> {
-        self.diagnostics.singular_values(&self.params)
+        self.record().singular_values(&self.params)
     }
 
     /// Returns the rows of the Jacobian for the task axes in the last step, k × n, in the task frame.
     pub fn task_jacobian(&self) -> DMatrix<f64> {
-        self.diagnostics.task_jacobian(&self.params)
+        self.record().task_jacobian(&self.params)
     }
 
     /// Returns the activation matrix A of the last step, n × (k + 1): the share of each joint in each of the k task
     /// axes, and in the null space (last column). Equation (10) of the paper.
     pub fn activation(&self) -> DMatrix<f64> {
-        self.diagnostics.activation(&self.params)
+        self.record().activation(&self.params)
     }
 
     /// Returns the responsibility R of the last step, n × (k + 1): the contribution of each of the k task velocities to
     /// the velocity of each joint, then that of the null-space motion. Equations (6), (7) of the paper.
     pub fn responsibility(&self) -> DMatrix<f64> {
-        self.diagnostics.responsibility(&self.params)
+        self.record().responsibility(&self.params)
     }
 
     /// Creates a controller as [`Controller::new`], without the check that the servos can hold the arm. `captured` is a
@@ -567,17 +581,27 @@ impl Controller {
         if !self.state.started {
             return self.start(q, target, input);
         }
-        let asked = input;
-        let mut input = Input::default();
-        self.read(asked, &mut input)?;
-        let simd_level = self.simd_level;
-        if simd_level.dispatch_narrow(self.context(q, target, &input)) {
-            if self.payload_ramp.is_some() {
-                self.advance_payload_ramp(input.dt);
-            }
-            return Ok(&self.command);
+        let (dt, simd_level) = (self.period(input.dt)?, self.simd_level);
+        let succeeded = if self.params.is_plain && input.has_period_only() {
+            simd_level.dispatch_narrow(PlainStep { controller: self, q, target, dt })
+        } else {
+            let mut optional = Input::new(dt);
+            optional.read(&self.model, &self.params, input)?;
+            simd_level.dispatch_narrow(Step { controller: self, q, target, input: &optional })
+        };
+        if !succeeded {
+            return Err(self.diagnose(q, target));
         }
-        Err(self.diagnose(q, target))
+        if self.payload_ramp.is_some() {
+            self.advance_payload_ramp(dt);
+        }
+        Ok(&self.command)
+    }
+
+    /// Returns the time since the last step [s], by default the period of the settings; an error if it is invalid.
+    #[inline]
+    fn period(&self, dt: Option<f64>) -> Result<f64> {
+        input::period(dt.unwrap_or(1.0 / self.settings.rate))
     }
 
     /// Resets the controller to `q` and runs its first step; restores the state if that fails.
@@ -599,28 +623,6 @@ impl Controller {
         self.payload_ramp = None;
     }
 
-    fn context<'a>(&'a mut self, q: &'a [f64], target: &'a Pose, input: &'a Input) -> StepContext<'a> {
-        StepContext {
-            simd_level: self.simd_level,
-            params: &self.params,
-            settings: &self.settings,
-            chain: self.model.chain(),
-            masses: match &self.payload_ramp {
-                Some(payload_ramp) => &payload_ramp.masses,
-                None => &self.masses,
-            },
-            gravity: &self.gravity,
-            delay: self.delay,
-            q,
-            target,
-            input,
-            state: &mut self.state,
-            scratch: &mut self.scratch,
-            diagnostics: &mut self.diagnostics,
-            command: &mut self.command,
-        }
-    }
-
     /// Returns the error of a step that rejected the positions `q`, the target or its own command.
     #[cold]
     fn diagnose(&self, q: &[f64], target: &Pose) -> Error {
@@ -630,12 +632,6 @@ impl Controller {
                 Error::config("step", "the command is not finite for this q, target and settings: nothing was sent")
             }
         }
-    }
-
-    /// Validates the optional inputs of a step and stores them in `out`.
-    #[inline]
-    fn read(&self, input: &StepInput<'_>, out: &mut Input) -> Result<()> {
-        out.read(&self.model, &self.params, self.settings.rate, input)
     }
 
     /// Returns the batch of `input` with model, parameters and settings of this controller.

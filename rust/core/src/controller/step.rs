@@ -6,10 +6,10 @@ use crate::command::goal::{Goals, JointTargets, profile_velocity, slew};
 use crate::command::host_loss::HostLossBound;
 use crate::command::integrator::Integrator;
 use crate::command::torque_limit::{SumRuleInput, bound_and_slew};
-use crate::controller::Command;
 use crate::controller::diagnostics::Diagnostics;
 use crate::controller::input::{Input, flush_subnormals};
 use crate::controller::state::State;
+use crate::controller::{Command, Controller};
 use crate::kinematics::velocity_filter::Filtered;
 use crate::kinematics::{GroupMasses, KinematicScratch};
 use crate::law::friction::FrictionGains;
@@ -21,12 +21,12 @@ use crate::math::rows::store_rows;
 use crate::math::simd::{F64x8, Isa, JointVec16, JointVector, Kernel, LANES, RealOps, SimdLevel};
 use crate::math::singular_values::SingularValues;
 use crate::model::Chain;
-use crate::params::{LimitRule, Params, Settings};
+use crate::params::{Features, LimitRule, Params, Settings};
 use crate::pose::Pose;
 use crate::task::demand::AxisDemand;
 use crate::task::deviation_limit::{DeviationLimiter, limit_deviation};
 use crate::task::reference_governor::{ReferenceGovernor, ReferenceHold, hold_fraction};
-use crate::task::{ArmState, pose_error_by};
+use crate::task::{ArmState, frame_error};
 use crate::{MAX_AXES, MAX_JOINTS};
 
 /// Largest time step [s] of the rate limits and of the integrator: a longer `dt` is clamped to it, so that the arm does
@@ -40,22 +40,39 @@ struct StepReference<W> {
     deviation: W,
 }
 
-/// Inputs of one step, and the state that it changes.
-pub(super) struct StepContext<'a> {
-    pub(super) simd_level: SimdLevel,
-    pub(super) params: &'a Params,
-    pub(super) settings: &'a Settings,
-    pub(super) chain: &'a Chain,
-    pub(super) masses: &'a GroupMasses,
-    pub(super) gravity: &'a [f64; 3],
-    pub(super) delay: f64,
+/// A control step with any [`Features`].
+pub(super) struct Step<'a> {
+    pub(super) controller: &'a mut Controller,
     pub(super) q: &'a [f64],
     pub(super) target: &'a Pose,
     pub(super) input: &'a Input,
-    pub(super) state: &'a mut State,
-    pub(super) scratch: &'a mut KinematicScratch,
-    pub(super) diagnostics: &'a mut Diagnostics,
-    pub(super) command: &'a mut Command,
+}
+
+/// A control step with [`Features::PLAIN`], without optional inputs, for an arm of at most [`LANES`] joints.
+pub(super) struct PlainStep<'a> {
+    pub(super) controller: &'a mut Controller,
+    pub(super) q: &'a [f64],
+    pub(super) target: &'a Pose,
+    /// Time since the last step [s].
+    pub(super) dt: f64,
+}
+
+/// Inputs of one step, and the state that it changes.
+struct StepContext<'a> {
+    simd_level: SimdLevel,
+    params: &'a Params,
+    settings: &'a Settings,
+    chain: &'a Chain,
+    masses: &'a GroupMasses,
+    gravity: &'a [f64; 3],
+    delay: f64,
+    q: &'a [f64],
+    target: &'a Pose,
+    input: &'a Input,
+    state: &'a mut State,
+    scratch: &'a mut KinematicScratch,
+    diagnostics: &'a mut Diagnostics,
+    command: &'a mut Command,
 }
 
 /// Joint targets of a step, with the quantities that later stages need.
@@ -76,27 +93,69 @@ struct StepSolution<J: JointVector> {
 #[inline(never)]
 fn cold() {}
 
-impl Kernel for StepContext<'_> {
+impl Kernel for Step<'_> {
     /// True if the step succeeded; false if positions, target or command are invalid. In that case state, diagnostics
     /// and command do not change.
     type Output = bool;
 
     #[inline(always)]
-    fn run<M: Isa>(mut self) -> bool {
-        if self.params.n <= LANES { self.step_generic::<M::F64x8>() } else { self.step_large_arm() }
+    fn run<M: Isa>(self) -> bool {
+        let features = Features { inputs: true, ..self.controller.params.features };
+        let mut context = StepContext::new(self.controller, self.q, self.target, self.input);
+        if context.params.n <= LANES {
+            context.step_generic::<M::F64x8>(features)
+        } else {
+            context.step_large_arm(features)
+        }
+    }
+}
+
+impl Kernel for PlainStep<'_> {
+    /// As for [`Step`].
+    type Output = bool;
+
+    #[inline(always)]
+    fn run<M: Isa>(self) -> bool {
+        let input = Input::new(self.dt);
+        StepContext::new(self.controller, self.q, self.target, &input).step_generic::<M::F64x8>(Features::PLAIN)
+    }
+}
+
+impl<'a> StepContext<'a> {
+    #[inline(always)]
+    fn new(controller: &'a mut Controller, q: &'a [f64], target: &'a Pose, input: &'a Input) -> Self {
+        Self {
+            simd_level: controller.simd_level,
+            params: &controller.params,
+            settings: &controller.settings,
+            chain: controller.model.chain(),
+            masses: match &controller.payload_ramp {
+                Some(payload_ramp) => &payload_ramp.masses,
+                None => &controller.masses,
+            },
+            gravity: &controller.gravity,
+            delay: controller.delay,
+            q,
+            target,
+            input,
+            state: &mut controller.state,
+            scratch: &mut controller.scratch,
+            diagnostics: &mut controller.diagnostics,
+            command: &mut controller.command,
+        }
     }
 }
 
 impl StepContext<'_> {
     /// Runs the step of an arm with more than [`LANES`] joints; compiled once for all instruction sets.
     #[inline(never)]
-    fn step_large_arm(&mut self) -> bool {
-        self.step_generic::<JointVec16>()
+    fn step_large_arm(&mut self, features: Features) -> bool {
+        self.step_generic::<JointVec16>(features)
     }
 
     /// Runs the step, lines 1 to 12 of the listing; returns false if positions, target or command are invalid.
     #[inline(always)]
-    fn step_generic<J: JointVector>(&mut self) -> bool {
+    fn step_generic<J: JointVector>(&mut self, features: Features) -> bool {
         let (params, settings) = (self.params, self.settings);
         let dt = self.input.dt.min(LONGEST_SLEW);
 
@@ -104,21 +163,28 @@ impl StepContext<'_> {
         if !params.is_plausible(measured) || self.target.is_invalid::<J::Elem>(&params.target_region) {
             return false;
         }
-        let filtered = self.filter(measured);
-        let q = self.predict(measured, &filtered);
+        let filtered = self.filter(features, measured);
+        let q = self.predict(features, measured, &filtered);
         let speed = settings.max_tool_speed;
-        let mut governor = self.state.governor;
-        let reference = governor.update::<J::Elem>(self.target, speed, settings.max_tool_acceleration, dt);
-        let view = self.chain.evaluate(q, params.uses_gravity.then_some((self.masses, self.gravity)), self.scratch);
+        let mut governor;
+        let reference = if features.tool_speed {
+            governor = self.state.governor;
+            governor.update::<J::Elem>(self.target, speed, settings.max_tool_acceleration, dt)
+        } else {
+            governor = ReferenceGovernor::new(*self.target);
+            *self.target
+        };
+        let weight = features.gravity.then_some((self.masses, self.gravity));
+        let view = self.chain.evaluate(features.any_chain, q, weight, self.scratch);
         let mut row_storage = None;
-        let arm = ArmState::new(params, settings, q, &view, &mut row_storage);
-        let error = pose_error_by::<J::Elem>(&arm.view.tool, &reference);
-        let deviation = params.to_task_rows(&arm.base_from_task, &error);
+        let arm = ArmState::new(params, settings, features, q, &view, &mut row_storage);
+        let error = frame_error(&arm.view.frame, &reference);
+        let deviation = params.to_task_rows(features, &arm.base_from_task, &error);
         let mut step_reference = StepReference { reference, deviation };
         // True for axes (x, y, z, roll, pitch, yaw) at their deviation limit. A local, because an array that is indexed
         // at run time is kept in memory, and so is the whole struct that contains it.
         let mut limited_axes = [false; MAX_AXES];
-        if !params.deviation_limits.is_empty() {
+        if features.deviation_limits {
             let (tool, base_from_task) = (arm.view.tool, arm.base_from_task);
             let limiter =
                 DeviationLimiter { tool: &tool, base_from_task: &base_from_task, before: &self.state.governor.pose() };
@@ -132,67 +198,63 @@ impl StepContext<'_> {
         }
         let twist = match &self.input.twist {
             // At a deviation limit, the velocity of the reference differs from that of the target.
-            Some(_) if limited_axes.contains(&true) => {
-                params.to_task_rows(&arm.base_from_task, &governor.reference_velocity())
+            Some(_) if features.inputs && limited_axes.contains(&true) => {
+                params.to_task_rows(features, &arm.base_from_task, &governor.reference_velocity())
             }
-            Some(twist) => params.to_task_rows(&arm.base_from_task, &governor.velocity(twist, speed)),
-            None => J::Axes::splat(0.0),
+            Some(twist) if features.inputs => {
+                params.to_task_rows(features, &arm.base_from_task, &governor.velocity(twist, speed))
+            }
+            _ => J::Axes::splat(0.0),
         };
-        let demand = AxisDemand::new(params, settings, step_reference.deviation, twist);
-        let pacing = self.pacing(&arm, &filtered, &governor, dt);
+        let demand = AxisDemand::new(params, settings, features, step_reference.deviation, twist);
+        let pacing = self.pacing(features, &arm, &filtered, &governor, dt);
         let mut singular = self.state.singular;
         let mut locked = [false; MAX_JOINTS];
-        let solved = self.solve(&arm, &demand, &filtered, pacing, (&mut singular, &mut locked));
+        let solved = self.solve(features, &arm, &demand, &filtered, pacing, (&mut singular, &mut locked));
         let solution = &solved.solution;
 
-        let wanted = self.wanted_limits(measured, &arm, &demand, &solved, &singular);
+        let wanted = self.wanted_limits(features, measured, &arm, &demand, &solved, &singular);
         let (floor, ceiling) = (J::load(&params.min_torque_limit), J::load(&params.servos.torque));
         let rise = J::load(&params.max_limit_rate) * J::splat(dt);
         let before = self.state.limit.as_ref().map(J::load);
         let mut limit = bound_and_slew(wanted, before, floor, ceiling, rise);
-        let to = Goals { goal: solution.goal(params, settings, limit), gravity_offset: solution.q_gravity_offset };
+        let to =
+            Goals { goal: solution.goal(params, settings, features, limit), gravity_offset: solution.q_gravity_offset };
         let from = Goals { goal: J::load(&self.state.goal), gravity_offset: J::load(&self.state.gravity_offset) };
         let (Goals { goal, gravity_offset }, share) = slew(from, to, settings.tracking.goal_slew * dt);
         let hold_fraction = hold_fraction(solution.motion.factors[2].min(share));
-        if hold_fraction > 0.0 && governor.lags(speed) != [false; 2] {
+        if features.tool_speed && hold_fraction > 0.0 && governor.lags(speed) != [false; 2] {
             let lag = (demand.deviation * (J::Axes::splat(1.0) - demand.softness)).to_axes();
             let bounds = [speed, settings.max_tool_acceleration];
             let hold =
                 ReferenceHold { params, bounds, base_from_task: &arm.base_from_task, lag: &lag, hold_fraction, dt };
             hold.apply(&self.state.governor.pose(), &mut governor);
         }
-        if let Some(max) = params.max_host_loss_force {
-            let bound = HostLossBound {
-                simd_level: self.simd_level,
-                chain: self.chain,
-                params,
-                masses: self.masses,
-                gravity: self.gravity,
-                gravity_scale: settings.paper_options.gravity_scale,
-                base_from_task: arm.base_from_task,
-                q: measured.to_joints(),
-                goal: goal.to_joints(),
-                limit: limit.to_joints(),
-                holding: arm.view.holding.to_joints(),
-                in_limit: arm.gravity_in_limit.to_joints(),
-            };
-            limit = J::load(&bound.limits(max));
+        if features.host_loss
+            && let Some(max) = params.max_host_loss_force
+        {
+            limit = self.bound_host_loss(max, &arm, measured, goal, limit);
         }
         // Reject a command with an infinite or NaN entry: `x < ∞` is false for both.
-        let (endless, zero) = (J::splat(f64::INFINITY), J::splat(0.0));
-        let size = J::abs(goal) + J::abs(limit);
-        if zero.is_any_lt(J::select_lt(size, endless, zero, endless)) {
+        if (J::abs(goal) + J::abs(limit)).is_any_not_lt(J::splat(f64::INFINITY)) {
             return false;
+        }
+        let (mut filtered, mut reference) = (filtered, step_reference.reference);
+        if features == Features::PLAIN {
+            // The step needs no velocity, and its reference is the target: computed and read here, they occupy no
+            // registers before.
+            (filtered, reference) = (self.filter(features, measured), *self.target);
+            governor = ReferenceGovernor::new(reference);
         }
         self.state.filter.set(filtered);
         self.state.gamma = solved.gamma;
-        if params.tracks_sigma {
+        if features.singular_values {
             (self.state.singular, self.state.cold) = (singular, false);
         }
         self.state.governor = governor;
         // Do not integrate at a deviation limit: the reference moves with the tool, so the deviation would not
         // decrease.
-        if settings.tracking.integrate > 0.0 && !limited_axes.contains(&true) {
+        if features.integral && !limited_axes.contains(&true) {
             self.integrate(dt, &arm, &demand, &solved, &locked);
         }
         goal.store(&mut self.state.goal);
@@ -200,10 +262,8 @@ impl StepContext<'_> {
         limit.store(self.state.limit.get_or_insert([0.0; MAX_JOINTS]));
         goal.store(&mut self.command.goal);
         limit.store(&mut self.command.torque_limit);
-        let profile =
-            profile_velocity(&arm.view.j_base, speed, settings.tracking.goal_slew, J::load(&params.joint_speed));
-        profile.store(&mut self.command.speed_limit);
-        self.record_diagnostics(&arm, &step_reference, &demand, &solved, &filtered, (&locked, &limited_axes));
+        self.profile(features, &arm).store(&mut self.command.speed_limit);
+        self.record_diagnostics(features, &arm, (reference, &filtered), &demand, &solved, (&locked, &limited_axes));
         true
     }
 
@@ -213,6 +273,7 @@ impl StepContext<'_> {
     #[inline(always)]
     fn solve<J: JointVector>(
         &self,
+        features: Features,
         arm: &ArmState<'_, J>,
         demand: &AxisDemand<J::Axes>,
         filtered: &Filtered<J>,
@@ -221,19 +282,20 @@ impl StepContext<'_> {
     ) -> StepSolution<J> {
         let (params, settings, input, state) = (self.params, self.settings, self.input, &*self.state);
         let scaled;
-        let scaled_rows = if params.tracks_sigma {
+        let scaled_rows = if features.singular_values {
             scaled = params.scale_rows(arm.rows);
             &scaled
         } else {
             arm.rows // scaled rows are not used
         };
-        let singularity = singularity_state(params, scaled_rows, singular, state.cold);
+        let singularity = singularity_state(params, features, scaled_rows, singular, state.cold);
         let rest = input.rest.as_ref().or(params.posture.as_ref()).unwrap_or(&state.rest);
-        let gradient =
-            cost_gradient(params, rest, input.gradient.as_ref(), arm, demand, scaled_rows, singularity.mu_squared);
+        let given = input.gradient.as_ref();
+        let gradient = cost_gradient(params, features, rest, given, arm, demand, scaled_rows, singularity.mu_squared);
         let damping = row_damping::<J>(params, &singularity);
         let law_input = LawInput {
             params,
+            features,
             horizon: settings.paper_options.horizon,
             rows: arm.rows,
             scaled_rows,
@@ -267,6 +329,38 @@ impl StepContext<'_> {
         solved
     }
 
+    /// Lowers the torque limits `limit` so that a hand meets at most the force `max` [N] if the host stops after this
+    /// command.
+    #[inline(always)]
+    fn bound_host_loss<J: JointVector>(&self, max: f64, arm: &ArmState<'_, J>, measured: J, goal: J, limit: J) -> J {
+        let bound = HostLossBound {
+            simd_level: self.simd_level,
+            chain: self.chain,
+            params: self.params,
+            masses: self.masses,
+            gravity: self.gravity,
+            gravity_scale: self.settings.paper_options.gravity_scale,
+            base_from_task: arm.base_from_task,
+            q: measured.to_joints(),
+            goal: goal.to_joints(),
+            limit: limit.to_joints(),
+            holding: arm.view.holding.to_joints(),
+            in_limit: arm.gravity_in_limit.to_joints(),
+        };
+        J::load(&bound.limits(max))
+    }
+
+    /// Returns the speeds for the servos' motion profiles [rad/s]; without limits on the tool's speed, those of the
+    /// joints.
+    #[inline(always)]
+    fn profile<J: JointVector>(&self, features: Features, arm: &ArmState<'_, J>) -> J {
+        let (settings, joint_speed) = (self.settings, J::load(&self.params.joint_speed));
+        if !features.tool_speed {
+            return joint_speed;
+        }
+        profile_velocity(&arm.view.j_base, settings.max_tool_speed, settings.tracking.goal_slew, joint_speed)
+    }
+
     /// Integrates the lead of the stiff axes and of the null space, except that of locked joints, into the stored lead.
     #[inline(always)]
     fn integrate<J: JointVector>(
@@ -295,8 +389,10 @@ impl StepContext<'_> {
 
     /// Returns the filtered joint velocity, or the one given as input; line 1 of the listing.
     #[inline(always)]
-    fn filter<J: JointVector>(&self, q: J) -> Filtered<J> {
-        if let Some(dq) = &self.input.dq {
+    fn filter<J: JointVector>(&self, features: Features, q: J) -> Filtered<J> {
+        if features.inputs
+            && let Some(dq) = &self.input.dq
+        {
             return Filtered { backlash_output: q, velocity: J::load(dq) };
         }
         let encoder_step = J::load(&self.params.servos.encoder_step);
@@ -306,8 +402,8 @@ impl StepContext<'_> {
     /// Returns the predicted positions at the arrival of the goal, line 1 of the listing; under law `paper` the
     /// measured positions.
     #[inline(always)]
-    fn predict<J: JointVector>(&self, q: J, filtered: &Filtered<J>) -> J {
-        if !self.params.law.by_force() {
+    fn predict<J: JointVector>(&self, features: Features, q: J, filtered: &Filtered<J>) -> J {
+        if !features.law.by_force() {
             return q;
         }
         let ahead = self.state.gamma * self.settings.compensation.delay * self.delay;
@@ -319,18 +415,24 @@ impl StepContext<'_> {
     #[inline(always)]
     fn pacing<J: JointVector>(
         &self,
+        features: Features,
         arm: &ArmState<'_, J>,
         filtered: &Filtered<J>,
         governor: &ReferenceGovernor,
         dt: f64,
     ) -> Pacing<J::Axes> {
-        let governed = self.settings.max_tool_speed.iter().any(|speed| speed.is_finite());
-        if !(self.params.pace.on && governed) {
+        if !(features.tool_speed && self.is_paced()) {
             return Pacing::zero();
         }
         let (velocity, before) = (governor.reference_velocity(), self.state.governor.reference_velocity());
         let change: [f64; 6] = std::array::from_fn(|i| (velocity[i] - before[i]) / dt);
-        Pacing::new(self.params, arm, filtered.velocity, &velocity, &change)
+        Pacing::new(self.params, features, arm, filtered.velocity, &velocity, &change)
+    }
+
+    /// Returns true if the stiff axes track the velocity of their reference.
+    #[inline(always)]
+    fn is_paced(&self) -> bool {
+        self.params.pace.on && self.settings.max_tool_speed.iter().any(|speed| speed.is_finite())
     }
 
     /// Returns the torque limits before floor, ceiling and rate limit: equation (11) of the paper under law `paper`,
@@ -338,6 +440,7 @@ impl StepContext<'_> {
     #[inline(always)]
     fn wanted_limits<J: JointVector>(
         &self,
+        features: Features,
         q: J,
         arm: &ArmState<'_, J>,
         demand: &AxisDemand<J::Axes>,
@@ -345,6 +448,11 @@ impl StepContext<'_> {
         singular: &SingularValues,
     ) -> J {
         let (params, solution) = (self.params, &solved.solution);
+        if let Some(budget) = solution.budget
+            && !features.gravity
+        {
+            return budget;
+        }
         let held = (q, J::load(&self.state.integral));
         let terms = solution.limit_terms(params, self.settings, held, arm, demand);
         match (solution.budget, params.limits) {
@@ -365,15 +473,16 @@ impl StepContext<'_> {
         }
     }
 
-    /// Stores the intermediate results of the step in the diagnostics.
+    /// Stores the intermediate results of the step in the diagnostics; of a plain step only those from which
+    /// [`PlainRecord`] computes the others.
     #[inline(always)]
     fn record_diagnostics<J: JointVector>(
         &mut self,
+        features: Features,
         arm: &ArmState<'_, J>,
-        step_reference: &StepReference<J::Axes>,
+        (reference, filtered): (Pose, &Filtered<J>),
         demand: &AxisDemand<J::Axes>,
         solved: &StepSolution<J>,
-        filtered: &Filtered<J>,
         (locked, limited_axes): (&[bool; MAX_JOINTS], &[bool; MAX_AXES]),
     ) {
         let solution = &solved.solution;
@@ -381,32 +490,29 @@ impl StepContext<'_> {
         arm.q.store(&mut record.q);
         filtered.velocity.store(&mut record.velocity);
         record.deviation = demand.deviation.to_axes();
-        record.adapted_deviation = demand.adapted.to_axes();
-        record.task_velocity =
-            (demand.clamped_displacement * J::Axes::splat(1.0 / self.settings.paper_options.horizon)).to_axes();
-        record.softness = demand.softness.to_axes();
-        record.compliance = demand.compliance.to_axes();
-        record.axis_strength = demand.max_strength.to_axes();
+        solved.gradient.store(&mut record.gradient);
+        record.factors = motion.factors;
+        record.locked = *locked;
+        record.reference = reference;
+        record.is_partial = features == Features::PLAIN;
+        if record.is_partial {
+            return;
+        }
+        record.set_demand(demand, self.settings.paper_options.horizon);
+        record.set_rows(arm.rows);
         record.wrench = motion.wrench.total().to_axes();
         arm.view.holding.store(&mut record.gravity);
         solution.feed_forward.store(&mut record.feed_forward);
-        solved.gradient.store(&mut record.gradient);
-        for r in 0..MAX_AXES {
-            arm.rows[r].store(&mut record.rows[r]);
-        }
         let SingularValues { smallest, largest, .. } = self.state.singular;
-        record.followed_sigma = params.tracks_sigma.then_some([smallest, largest]);
+        record.followed_sigma = features.singular_values.then_some([smallest, largest]);
         record.damping = solved.damping.sqrt();
         record.gamma = solved.gamma;
-        record.factors = motion.factors;
         record.gain_factor = motion.gain_factor;
-        record.locked = *locked;
         record.deviation_limited = [false; MAX_AXES];
-        if !params.deviation_limits.is_empty() {
+        if features.deviation_limits {
             for (slot, &axis) in record.deviation_limited.iter_mut().zip(&params.axes) {
                 *slot = limited_axes[axis];
             }
         }
-        record.reference = step_reference.reference;
     }
 }

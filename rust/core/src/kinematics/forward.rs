@@ -70,6 +70,27 @@ fn matrix<T: Vec3Ops>([x, y, z]: &[T; 3]) -> Mat3<Real<T>> {
     [[x[0], y[0], z[0]], [x[1], y[1], z[1]], [x[2], y[2], z[2]]]
 }
 
+/// Axes and origin of a frame, in the base.
+#[derive(Clone, Copy)]
+pub(crate) struct FrameAxes<T> {
+    pub(crate) axes: [T; 3],
+    pub(crate) origin: T,
+}
+
+impl<T: Vec3Ops> FrameAxes<T> {
+    /// Creates the frame at `pose`.
+    #[inline(always)]
+    pub(super) fn at(pose: &Pose<Real<T>>) -> Self {
+        Self { axes: columns(&pose.rotation), origin: T::from_components(pose.position) }
+    }
+
+    /// Returns the pose of the frame.
+    #[inline(always)]
+    pub(super) fn pose(&self) -> Pose<Real<T>> {
+        Pose { rotation: matrix(&self.axes), position: self.origin.components() }
+    }
+}
+
 /// Returns the columns of a rotation matrix.
 #[inline(always)]
 fn columns<T: Vec3Ops>(m: &Mat3<Real<T>>) -> [T; 3] {
@@ -176,8 +197,19 @@ impl Chain {
         joint_trigs: &JointTrigs<'_, Real<T>, N>,
         visitor: &mut impl Visitor<T>,
     ) -> Pose<Real<T>> {
-        let mut axes = columns::<T>(&splat_matrix::<T::Elem>(&self.base.rotation));
-        let mut origin = T::constant(&self.base.position);
+        self.forward_frame::<T, N, SLIDES>(joint_trigs, visitor).pose()
+    }
+
+    /// Computes [`Chain::forward_pass`], and returns the frame of the tool.
+    #[inline(always)]
+    pub(super) fn forward_frame<T: Vec3Ops, const N: usize, const SLIDES: bool>(
+        &self,
+        joint_trigs: &JointTrigs<'_, Real<T>, N>,
+        visitor: &mut impl Visitor<T>,
+    ) -> FrameAxes<T> {
+        let [x, y, z, origin] = &self.base_cells;
+        let mut axes = [T::constant_cell(x), T::constant_cell(y), T::constant_cell(z)];
+        let mut origin = T::constant_cell(origin);
         for k in 0..self.path.min(N).min(MAX_JOINTS) {
             (axes, origin) = self.advance_frame::<T, N, SLIDES>(k, &axes, origin, joint_trigs);
             visitor.visit_joint(k, &axes, origin);
@@ -188,7 +220,7 @@ impl Chain {
             transform_point(&axes, &[r[0][1], r[1][1], r[2][1]], zero),
             transform_point(&axes, &[r[0][2], r[1][2], r[2][2]], zero),
         ];
-        Pose { rotation: matrix(&rotation), position: transform_point(&axes, &self.tool.position, origin).components() }
+        FrameAxes { axes: rotation, origin: transform_point(&axes, &self.tool.position, origin) }
     }
 
     /// Returns axes and origin of the frame after joint `k`, from those of the frame before it:

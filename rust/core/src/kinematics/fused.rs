@@ -1,7 +1,7 @@
 //! Tool pose, Jacobian and gravity torques for the control step, computed together. After the forward pass, each SIMD
 //! lane computes one joint.
 
-use super::forward::{JointFrames, Visitor, transform_point};
+use super::forward::{FrameAxes, JointFrames, Visitor, transform_point};
 use super::gravity::GroupMasses;
 use crate::math::rows::load_rows;
 use crate::math::simd::{JointVector, LANES, PaddedVec3, StoreVec3, Vec3Ops};
@@ -13,6 +13,8 @@ use crate::{JointVec, MAX_AXES, MAX_JOINTS, Rows};
 /// Tool pose, Jacobian and gravity torques of one configuration.
 #[derive(Clone, Copy)]
 pub(crate) struct KinematicState<J: JointVector> {
+    /// Frame of the tool.
+    pub(crate) frame: FrameAxes<J::Vec3>,
     /// Pose of the tool, `base_from_tool`.
     pub(crate) tool: Pose,
     /// Geometric Jacobian at the tool, in base axes (6 × n).
@@ -95,43 +97,51 @@ impl<T: StoreVec3> Visitor<T> for WithMasses<'_> {
 
 impl Chain {
     /// Computes tool pose, Jacobian and gravity torques at `q`. `weight` is the masses and gravity [m/s²] in base axes;
-    /// `None`: the torques are 0.
+    /// `None`: the torques are 0. `any_chain`: the chain may have joints that slide, are geared together or lie beside
+    /// its path.
     #[inline(always)]
     pub(crate) fn evaluate<J: JointVector>(
         &self,
+        any_chain: bool,
         q: J,
         weight: Option<(&GroupMasses, &Vec3)>,
         scratch: &mut KinematicScratch,
     ) -> KinematicState<J> {
-        if self.simple && self.path == self.total {
-            return self.evaluate_simple(q, weight, &mut scratch.simple);
+        if !any_chain {
+            return if J::OUTLINED {
+                self.evaluate_simple::<J, MAX_JOINTS>(q, weight, &mut scratch.simple)
+            } else {
+                self.evaluate_simple::<J, LANES>(q, weight, &mut scratch.simple)
+            };
         }
         let KinematicScratch { frames, j_base, holding, .. } = scratch;
         self.forward_by::<J::Elem>(&q.to_joints(), frames);
         self.jacobian_by::<J::Elem>(frames, j_base);
         let (tool, j_base) = (frames.tool, load_rows(j_base));
-        let Some((masses, g)) = weight else { return KinematicState { tool, j_base, holding: J::splat(0.0) } };
+        let frame = FrameAxes::at(&tool);
+        let Some((masses, g)) = weight else { return KinematicState { frame, tool, j_base, holding: J::splat(0.0) } };
         self.gravity_by::<J::Elem>(frames, masses, g, holding);
-        KinematicState { tool, j_base, holding: J::load(holding) }
+        KinematicState { frame, tool, j_base, holding: J::load(holding) }
     }
 
-    /// Computes [`Chain::evaluate`] for a simple chain without joints beside its path.
+    /// Computes [`Chain::evaluate`] for a simple chain without joints beside its path, of at most `N` joints.
     #[inline(always)]
-    fn evaluate_simple<J: JointVector>(
+    fn evaluate_simple<J: JointVector, const N: usize>(
         &self,
         q: J,
         weight: Option<(&GroupMasses, &Vec3)>,
         scratch: &mut SimpleScratch,
     ) -> KinematicState<J> {
         let SimpleScratch { cells, moments } = scratch;
-        let joint_trigs = self.joint_trigs_simd::<J, MAX_JOINTS>(q);
+        let joint_trigs = self.joint_trigs_simd::<J, N>(q);
         let Some((masses, g)) = weight else {
-            let tool = self.forward_pass::<J::Vec3, MAX_JOINTS, false>(&joint_trigs, cells);
+            let frame = self.forward_frame::<J::Vec3, N, false>(&joint_trigs, cells);
+            let tool = frame.pose();
             let (_, j_base) = cells.jacobian::<J>(&tool);
-            return KinematicState { tool, j_base, holding: J::splat(0.0) };
+            return KinematicState { frame, tool, j_base, holding: J::splat(0.0) };
         };
-        let tool =
-            self.forward_pass::<J::Vec3, MAX_JOINTS, false>(&joint_trigs, &mut WithMasses { cells, moments, masses });
+        let frame = self.forward_frame::<J::Vec3, N, false>(&joint_trigs, &mut WithMasses { cells, moments, masses });
+        let tool = frame.pose();
         // Replace each moment by S − M o, where S and M are first moment and mass of everything beyond the joint and o
         // is its origin, as in [`Chain::gravity`]. `subtree` and `mass` are S and M without the joint's own group,
         // whose moment is already relative to o.
@@ -145,7 +155,7 @@ impl Chain {
         }
         let (axis, j_base) = cells.jacobian::<J>(&tool);
         let holding = -dot::<J>(&J::components(&*moments), &cross::<J>(&splat::<J>(g), &axis));
-        KinematicState { tool, j_base, holding }
+        KinematicState { frame, tool, j_base, holding }
     }
 
     /// Computes tool pose and Jacobian at `q` of a simple chain (see `Chain::simple`) of at most eight joints.

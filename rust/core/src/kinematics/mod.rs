@@ -20,6 +20,7 @@ pub(crate) mod statics;
 mod targets;
 pub(crate) mod velocity_filter;
 
+pub(crate) use forward::FrameAxes;
 pub use forward::JointFrames;
 pub(crate) use fused::{KinematicScratch, KinematicState};
 pub use gravity::GroupMasses;

@@ -18,7 +18,7 @@ use crate::law::singularity::SingularityState;
 use crate::law::wrench::Wrench;
 use crate::math::rows::{mul, tr_mul};
 use crate::math::simd::{F64x8, JointVector, RealOps};
-use crate::params::{Law, Params, Projector};
+use crate::params::{Features, Law, Params, Projector};
 use crate::task::ArmState;
 use crate::task::demand::AxisDemand;
 use crate::{AxisVec, JointVec, MAX_AXES, Rows};
@@ -29,6 +29,8 @@ use crate::{AxisVec, JointVec, MAX_AXES, Rows};
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct LawInput<'a, J: JointVector> {
     pub(crate) params: &'a Params,
+    /// Optional parts of the step; those of `params` or, in the plain step, constants.
+    pub(crate) features: Features,
     /// Horizon h [s].
     pub(crate) horizon: f64,
     /// Jacobian rows of the task axes, in the task frame.
@@ -70,14 +72,15 @@ impl<W: F64x8> Pacing<W> {
     #[inline(always)]
     pub(crate) fn new<J: JointVector<Axes = W>>(
         params: &Params,
+        features: Features,
         arm: &ArmState<'_, J>,
         joints: J,
         velocity: &AxisVec,
         change: &AxisVec,
     ) -> Self {
         let pace = &params.pace;
-        let speed: W = params.to_task_rows(&arm.base_from_task, velocity);
-        let acceleration: W = params.to_task_rows(&arm.base_from_task, change);
+        let speed: W = params.to_task_rows(features, &arm.base_from_task, velocity);
+        let acceleration: W = params.to_task_rows(features, &arm.base_from_task, change);
         let tool_velocity = W::from_axes(&mul(arm.rows, joints));
         let driven = W::from_array(&pace.inertia) * W::clamp_abs(acceleration, W::from_array(&pace.max_acceleration));
         let displacement = W::fma(W::from_array(&pace.damping), speed - tool_velocity, driven);
@@ -155,7 +158,7 @@ macro_rules! with_law {
 /// Runs the law of the settings; inputs and outputs as [`ControlLaw::solve`].
 #[inline(always)]
 pub(crate) fn solve<J: JointVector>(input: &LawInput<'_, J>) -> (LawOutput<J>, Option<J>) {
-    with_law!(input.params.law, L => L::solve(input))
+    with_law!(input.features.law, L => L::solve(input))
 }
 
 /// Returns the factor ≤ 1 on the gain of the stiff axes under the law of the settings; `last` is the factor of the last

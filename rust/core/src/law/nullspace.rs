@@ -6,7 +6,7 @@ use crate::math::ldlt6::{Ldlt6, factor_gram, pseudo_inverse};
 use crate::math::rows::{JointMatrix, load_rows, mul, store_rows, tr_mul};
 use crate::math::simd::{BaselineF64, JointVec16, JointVector};
 use crate::math::spatial::{cross, dot, sub};
-use crate::params::{Frame, NullSpaceCost, Params, Projector};
+use crate::params::{Features, Frame, NullSpaceCost, Params, Projector};
 use crate::task::ArmState;
 use crate::task::demand::AxisDemand;
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
@@ -153,9 +153,11 @@ impl NullSpaceCost {
 
 /// Returns the gradient of the whole null-space cost. `rest` is the rest posture, `added` the gradient of the user's
 /// cost, `scaled` the scaled task rows, `mu_squared` the damping μ² of the projector.
+#[expect(clippy::too_many_arguments, reason = "a struct of them would be kept in memory")]
 #[inline(always)]
 pub(crate) fn cost_gradient<J: JointVector>(
     params: &Params,
+    features: Features,
     rest: &JointVec,
     added: Option<&JointVec>,
     arm: &ArmState<'_, J>,
@@ -164,15 +166,17 @@ pub(crate) fn cost_gradient<J: JointVector>(
     mu_squared: f64,
 ) -> J {
     let rest = J::load(rest);
-    let mut gradient = params.cost.gradient(arm.q, rest, posture_gain(params, arm.q, rest, demand));
-    if params.cost.manipulability > 0.0 {
+    // Law `paper` never fades the posture task, see `Params::clearance`.
+    let share = if features.law.by_force() { posture_gain(params, arm.q, rest, demand) } else { 1.0 };
+    let mut gradient = params.cost.gradient(arm.q, rest, share);
+    if features.manipulability {
         let (j_base, scaled) = (store_rows(&arm.view.j_base), store_rows(scaled));
         let more = weighted_manipulability(params, &j_base, &scaled, &arm.base_from_task, mu_squared);
         gradient = gradient + J::load(&more);
     }
     match added {
-        Some(added) => gradient + J::load(added),
-        None => gradient,
+        Some(added) if features.inputs => gradient + J::load(added),
+        _ => gradient,
     }
 }
 

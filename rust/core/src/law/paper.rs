@@ -9,7 +9,7 @@ use crate::law::{AxisPush, ControlLaw, LawInput, LawOutput};
 use crate::math::ldlt6::Ldlt6;
 use crate::math::rows::{damped, diagonal, tr_mul, weighted_gram};
 use crate::math::simd::{F64x8, JointVector, RealOps};
-use crate::params::{Follow, Params, Projector};
+use crate::params::{Follow, Projector};
 use crate::{MAX_AXES, MAX_JOINTS};
 
 /// Clamps the step of each task axis to its torque budget: `|s_j| ≤ τ_j / Σ_i k_i |J⁺_ij|`.
@@ -68,24 +68,25 @@ impl ControlLaw for Paper {
     #[inline(always)]
     fn solve<J: JointVector>(input: &LawInput<'_, J>) -> (LawOutput<J>, Option<J>) {
         let params = input.params;
-        let (weight, size) = (J::load(&params.joint_weight_inv), (params.k, params.n));
+        let (is_variant, size) = (input.features.paper_variants, (params.k, params.n));
+        let weight = if is_variant { J::load(&params.joint_weight_inv) } else { J::splat(1.0) };
         let damped = NullSpace::new(input.rows, weight, &input.damping.to_axes(), size);
         let pinv = damped.pseudo_inverse();
         let mut step = input.demand.clamped_displacement;
-        if params.budget_on_goal {
+        if is_variant && params.budget_on_goal {
             step = within_budget(&pinv, step, input.demand.max_strength, J::load(&params.servos.kp));
         }
         let task = match params.follow {
-            Follow::Hold => tr_mul(&pinv, &step.to_axes()),
-            Follow::Free => decoupled_offset(input, step),
+            Follow::Free if is_variant => decoupled_offset(input, step),
+            _ => tr_mul(&pinv, &step.to_axes()),
         };
-        let task = if params.pace.on { task + pacing_offset(input) } else { task };
+        let task = if input.features.tool_speed && params.pace.on { task + pacing_offset(input) } else { task };
         let (null_space, along) = match params.projector {
-            Projector::Paper => (damped, damped.project_by(&pinv, input.gradient)),
-            Projector::Exact => {
+            Projector::Exact if is_variant => {
                 let exact = input.null_space();
                 (exact, exact.project(input.gradient))
             }
+            _ => (damped, damped.project_by(&pinv, input.gradient)),
         };
         let (output, budget) = within_limits(input, &pinv, task, &null_space, along);
         (output, Some(budget))
@@ -108,7 +109,7 @@ fn within_limits<J: JointVector>(
     along: J,
 ) -> (LawOutput<J>, J) {
     let (params, h) = (input.params, input.horizon);
-    let (offset, null) = (gained(params, task), gained(params, along * J::splat(-params.alpha * h)));
+    let (offset, null) = (gained(input, task), gained(input, along * J::splat(-params.alpha * h)));
     let null = params.bound_null_speed(null, h);
     let [null_factor, task_factor] = scale_to_fit(J::splat(0.0), [null, offset], params.reach(h));
     let null_shares = if params.k < params.n { null_column(along, null_space) } else { J::splat(0.0) };
@@ -127,9 +128,10 @@ fn within_limits<J: JointVector>(
 
 /// Returns `K_q v`.
 #[inline(always)]
-fn gained<J: JointVector>(params: &Params, v: J) -> J {
-    if let Some(gain) = params.kq_scalar {
-        return v * J::splat(gain);
+fn gained<J: JointVector>(input: &LawInput<'_, J>, v: J) -> J {
+    let params = input.params;
+    if !input.features.paper_variants || params.kq_scalar.is_some() {
+        return v * J::splat(params.kq_scalar.unwrap_or(1.0));
     }
     let (values, mut out) = (v.to_joints(), J::splat(0.0));
     for i in 0..params.n.min(MAX_JOINTS) {

@@ -6,7 +6,7 @@ use crate::math::ldlt6::Ldlt6;
 use crate::math::rows::{Mat6, store_rows, weighted_gram};
 use crate::math::simd::{JointVector, RealOps, SimdVec};
 use crate::math::singular_values::SingularValues;
-use crate::params::Params;
+use crate::params::{Features, Params};
 use crate::{MAX_AXES, Rows};
 
 /// Iterations for the extreme singular vectors, without vectors of a previous step.
@@ -57,12 +57,13 @@ pub(crate) fn row_damping<J: JointVector>(params: &Params, singularity: &Singula
 #[inline(always)]
 pub(crate) fn singularity_state<J: JointVector>(
     params: &Params,
+    features: Features,
     scaled: &[J; MAX_AXES],
     values: &mut SingularValues,
     cold: bool,
 ) -> SingularityState {
     let constants = params.damping;
-    if !params.tracks_sigma {
+    if !features.singular_values {
         return SingularityState {
             damping: constants.lambda_0 * constants.lambda_0,
             mu_squared: 0.0,

@@ -109,7 +109,21 @@ impl Ldlt6 {
         for row in &mut weighted {
             *row = *row * joint_weight;
         }
-        self.solve::<J>(&weighted)
+        // One register at a time, because the six rows of all registers do not fit into the registers.
+        let mut out = weighted;
+        unrolled!(index in 0 1 2 3 => {
+            if index < J::REGISTERS {
+                let mut part = [weighted[0].register(index); MAX_AXES];
+                for r in 1..MAX_AXES {
+                    part[r] = weighted[r].register(index);
+                }
+                part = self.solve::<J::Register>(&part);
+                for r in 0..MAX_AXES {
+                    out[r].set_register(index, part[r]);
+                }
+            }
+        });
+        out
     }
 
     /// Returns the diagonal of `M⁻¹`.

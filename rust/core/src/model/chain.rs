@@ -8,6 +8,7 @@ use super::parts::JointKind;
 use super::roles::{Role, roles};
 use super::tree::Tree;
 use crate::error::{Error, Result};
+use crate::math::simd::PaddedVec3;
 use crate::pose::Pose;
 use crate::{JointVec, MAX_JOINTS};
 
@@ -26,6 +27,8 @@ pub struct Chain {
     pub(crate) total: usize,
     /// Pose in the base of the frame before the first joint.
     pub(crate) base: Pose,
+    /// Axes and origin of [`Chain::base`], each padded to a vector register.
+    pub(crate) base_cells: [PaddedVec3; 4],
     /// Pose of the tool in the frame after the last joint of the path.
     pub(crate) tool: Pose,
     /// Index in q of the independent joint that drives each joint.
@@ -159,6 +162,7 @@ fn turn_frames(tree: &Tree, bodies: &Bodies, independent: Vec<usize>) -> Assembl
         path: on_path,
         total: bodies.slots.len().min(MAX_JOINTS),
         base: pose(&base),
+        base_cells: cells(&pose(&base)),
         tool: pose(&bodies.tool),
         driver: [0; MAX_JOINTS],
         parent: [MAX_JOINTS; MAX_JOINTS],
@@ -205,6 +209,13 @@ fn turn_frames(tree: &Tree, bodies: &Bodies, independent: Vec<usize>) -> Assembl
     }
     let massless = (0..chain.n).filter(|&i| group_mass(bodies, i, independent[i]) <= 0.0).collect();
     Assembly { chain, independent, massless, reach }
+}
+
+/// Returns the axes of a frame, the columns of its rotation, then its origin.
+fn cells(frame: &Pose) -> [PaddedVec3; 4] {
+    let (r, p) = (&frame.rotation, &frame.position);
+    let axis = |i: usize| [r[0][i], r[1][i], r[2][i], 0.0];
+    [axis(0), axis(1), axis(2), [p[0], p[1], p[2], 0.0]]
 }
 
 /// Returns the largest displacement of a prismatic joint [m]; 0 for other joints and for unknown limits.

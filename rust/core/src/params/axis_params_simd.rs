@@ -4,7 +4,7 @@ use crate::math::rotation::base_to_task;
 use crate::math::simd::{F64x8, LANES};
 use crate::math::spatial::Mat3;
 use crate::params::axis_params::AxisParams;
-use crate::params::{Frame, Params};
+use crate::params::{Features, Frame, Params};
 use crate::{AxisVec, MAX_AXES};
 
 /// One number per task axis; the unused lanes contain a value with which all results in them are zero.
@@ -45,8 +45,12 @@ pub(crate) struct AxisParamsSimd {
     pub(crate) soft_step_limit: AxisArray,
     /// Factor on λ² of each row.
     pub(crate) damping_scale: AxisArray,
+    /// True if an axis of the task has a limit of its commanded velocity.
+    pub(crate) limits_steps: bool,
     /// Columns of the gain K_x [1/s].
     pub(crate) kx: [AxisArray; MAX_AXES],
+    /// Diagonal of the gain K_x [1/s].
+    pub(crate) kx_diagonal: AxisArray,
 }
 
 impl AxisParamsSimd {
@@ -62,8 +66,9 @@ impl AxisParamsSimd {
         let mut spread_damping = [0.0; LANES];
         spread_damping[..MAX_AXES].copy_from_slice(damping_scale);
         let (mut columns, mut axis) = ([[0.0; LANES]; MAX_AXES], [MAX_AXES; MAX_AXES]);
+        let mut kx_diagonal = [0.0; LANES];
         for (r, row) in rows.iter().enumerate() {
-            axis[r] = row.axis;
+            (axis[r], kx_diagonal[r]) = (row.axis, kx[r][r]);
             (0..MAX_AXES).for_each(|c| columns[c][r] = kx[r][c]);
         }
         Self {
@@ -83,7 +88,9 @@ impl AxisParamsSimd {
             step_limit: of(&|row| row.step_limit),
             soft_step_limit: of(&|row| row.soft_step_limit),
             damping_scale: spread_damping,
+            limits_steps: rows.iter().any(|row| row.step_limit.min(row.soft_step_limit).is_finite()),
             kx: columns,
+            kx_diagonal,
         }
     }
 }
@@ -91,7 +98,10 @@ impl AxisParamsSimd {
 impl Params {
     /// Transforms a 6-vector in base axes into the task frame and returns the entries of the task rows.
     #[inline(always)]
-    pub(crate) fn to_task_rows<W: F64x8>(&self, base_from_task: &Mat3, v: &AxisVec) -> W {
+    pub(crate) fn to_task_rows<W: F64x8>(&self, features: Features, base_from_task: &Mat3, v: &AxisVec) -> W {
+        if !features.any_axes {
+            return W::from_axes(v);
+        }
         if matches!(self.frame, Frame::Base) {
             return self.select_rows(v);
         }

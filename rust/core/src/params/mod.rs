@@ -5,6 +5,7 @@ mod axis_params;
 mod axis_params_simd;
 mod checks;
 mod enum_names;
+mod features;
 mod groups;
 mod impedance;
 pub(crate) mod joint_space;
@@ -21,6 +22,7 @@ pub use axis::{AXIS_NAMES, Axis, CompliantSide, Frame, OnDeviationLimit, Profile
 pub use axis_params::{AxisImpedance, AxisStrength};
 pub(crate) use axis_params::{AxisParams, DeviationLimit, max_adaptation};
 pub(crate) use axis_params_simd::AxisArray;
+pub(crate) use features::Features;
 pub use groups::{Compensation, NullSpace, PaperOptions, TorqueLimits, Tracking};
 pub use resolved::DampingParams;
 pub(crate) use resolved::{NullSpaceCost, Params};

@@ -6,6 +6,7 @@ use crate::error::{Error, Result};
 use crate::kinematics::{joint_targets, target_region};
 use crate::math::rounding;
 use crate::math::rows::pad;
+use crate::math::simd::LANES;
 use crate::math::spatial::Mat3;
 use crate::model::Model;
 use crate::params::axis_params::{AxisParams, DeviationLimit, deviation_limits, max_adaptation, resolve_rows};
@@ -15,7 +16,7 @@ use crate::params::joint_space::JointSpaceStats;
 use crate::params::pacing::PacingParams;
 use crate::params::scales::clearance;
 use crate::params::{
-    AXIS_NAMES, Damping, Follow, Frame, Gain, GravityUse, Law, LimitRule, Projector, ServoArrays, Servos, Settings,
+    AXIS_NAMES, Damping, Features, Follow, Frame, Gain, Law, LimitRule, Projector, ServoArrays, Servos, Settings,
     impedance, scales,
 };
 use crate::pose::{Pose, TargetRegion};
@@ -64,6 +65,10 @@ pub(crate) struct Params {
     pub(crate) n: usize,
     /// Number of task axes.
     pub(crate) k: usize,
+    /// Optional parts of the step.
+    pub(crate) features: Features,
+    /// True if the step has none of them, and the arm at most [`LANES`] joints.
+    pub(crate) is_plain: bool,
     pub(crate) law: Law,
     pub(crate) follow: Follow,
     /// Rule for the joint torque limits under the laws `cap` and `impedance`.
@@ -117,10 +122,6 @@ pub(crate) struct Params {
     pub(crate) cost: NullSpaceCost,
     /// Rest posture [rad]; `None` for the joint positions at reset.
     pub(crate) posture: Option<JointVec>,
-    /// True if a step uses the singular values of its task rows.
-    pub(crate) tracks_sigma: bool,
-    /// True if a step needs the gravity torques.
-    pub(crate) uses_gravity: bool,
     /// Bound on the torque of the null-space motion summed over all joints [N·m].
     pub(crate) null_torque: f64,
     /// Speed limit of the null-space motion of each joint [rad/s].
@@ -195,9 +196,11 @@ impl Params {
         let (lower, upper) = (pad(model.lower(), f64::NEG_INFINITY), pad(model.upper(), f64::INFINITY));
         let posture_lets_go = settings.law.by_force() && redundant;
         let well_damped = arrays.well_damped(n);
-        let params = Self {
+        let mut params = Self {
             n,
             k,
+            features: Features::PLAIN,
+            is_plain: false,
             law: settings.law,
             follow: settings.effective_follow(),
             limits: settings.paper_options.limits,
@@ -226,10 +229,6 @@ impl Params {
                 scale
                     * (damping.lambda_0 * damping.lambda_0 + damping.lambda_max.max(MIN_REDISTRIBUTION_DAMPING).powi(2))
             }),
-            uses_gravity: settings.gravity_use() != GravityUse::Off
-                || settings.tracking.integrate > 0.0
-                || settings.torque_limits.max_host_loss_force.is_some(),
-            tracks_sigma: scales::tracks_sigma(settings, &damping),
             damping,
             cost: resolve_cost(model, settings)?,
             posture: settings
@@ -265,6 +264,8 @@ impl Params {
             servos: arrays,
             axes,
         };
+        params.features = Features::new(model, settings, &params);
+        params.is_plain = params.features == Features::PLAIN && n <= LANES;
         check_gain(settings, &params)?;
         if params.law.has_springs() {
             impedance::check(model, settings, &params)?;

@@ -54,9 +54,8 @@ impl Params {
     /// Returns true if [`Params::positions`] would accept these positions.
     #[inline(always)]
     pub(crate) fn is_plausible<J: JointVector>(&self, q: J) -> bool {
-        let (zero, one) = (J::splat(0.0), J::splat(1.0));
-        let below = J::select_lt(q, J::load(&self.q_plausible[1]), zero, one);
-        !zero.is_any_lt(J::select_lt(J::load(&self.q_plausible[0]), q, below, one))
+        let [lowest, highest] = &self.q_plausible;
+        !(J::load(lowest).is_any_not_lt(q) | q.is_any_not_lt(J::load(highest)))
     }
 
     /// Returns `base_from_task` for this pose of the tool: its columns are the task axes in the base frame.

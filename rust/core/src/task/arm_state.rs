@@ -4,7 +4,7 @@ use crate::MAX_AXES;
 use crate::kinematics::KinematicState;
 use crate::math::simd::JointVector;
 use crate::math::spatial::Mat3;
-use crate::params::{Params, Settings};
+use crate::params::{Features, Params, Settings};
 use crate::task::rows_in;
 
 /// State of the arm at the predicted positions q̂.
@@ -30,12 +30,21 @@ impl<'a, J: JointVector> ArmState<'a, J> {
     pub(crate) fn new(
         params: &Params,
         settings: &Settings,
+        features: Features,
         q: J,
         view: &'a KinematicState<J>,
         row_storage: &'a mut Option<[J; MAX_AXES]>,
     ) -> Self {
         let base_from_task = params.base_from_task(&view.tool);
-        let rows = rows_in(&params.frame, &view.j_base, &base_from_task, &params.axes, row_storage);
+        let rows = if features.any_axes {
+            rows_in(&params.frame, &view.j_base, &base_from_task, &params.axes, row_storage)
+        } else {
+            &view.j_base
+        };
+        if !features.gravity {
+            let zero = J::splat(0.0);
+            return Self { q, view, base_from_task, rows, gravity_in_goal: zero, gravity_in_limit: zero };
+        }
         let gravity = settings.gravity_use();
         let in_goal = J::splat(f64::from(u8::from(gravity.in_goal())));
         let in_limit = J::splat(f64::from(u8::from(gravity.in_limits())));

@@ -2,7 +2,7 @@
 
 use crate::MAX_AXES;
 use crate::math::simd::F64x8;
-use crate::params::{AxisArray, Params, Settings};
+use crate::params::{AxisArray, Features, Params, Settings};
 use crate::task::adapt::{adapt_deviation, push_side_blend};
 use crate::task::compliance::{compliance_by, lerp};
 
@@ -37,7 +37,7 @@ impl<W: F64x8> AxisDemand<W> {
     /// Computes the demand from the deviation `e` [m, rad] and the target's velocity `twist` [m/s, rad/s] of each task
     /// row.
     #[inline(always)]
-    pub(crate) fn new(params: &Params, settings: &Settings, e: W, twist: W) -> Self {
+    pub(crate) fn new(params: &Params, settings: &Settings, features: Features, e: W, twist: W) -> Self {
         let rows = &params.axis_simd;
         let plus = push_side_blend::<W>(e, W::from_array(&rows.band), W::from_array(&rows.band_slope));
         let w = blend_sides(plus, &rows.yields);
@@ -50,9 +50,14 @@ impl<W: F64x8> AxisDemand<W> {
         );
         let strength = lerp::<W>(c, blend_sides(plus, &rows.far_strength), blend_sides(plus, &rows.near_strength));
         let horizon = W::splat(settings.paper_options.horizon);
-        let displacement = horizon * W::fma(W::splat(params.gain_scale), apply_kx(params, adapted), twist);
-        let stiff_max = horizon * W::from_array(&rows.step_limit);
-        let soft_max = horizon * W::from_array(&rows.soft_step_limit);
+        let displacement = horizon * W::fma(W::splat(params.gain_scale), apply_kx(params, features, adapted), twist);
+        let (mut bounded, mut clamped) = (displacement, displacement);
+        if rows.limits_steps {
+            let stiff_max = horizon * W::from_array(&rows.step_limit);
+            let soft_max = horizon * W::from_array(&rows.soft_step_limit);
+            bounded = W::clamp_abs(displacement, soft_max);
+            clamped = W::clamp_abs(displacement, max_displacement(w, stiff_max, soft_max));
+        }
         Self {
             deviation: e,
             adapted,
@@ -63,8 +68,8 @@ impl<W: F64x8> AxisDemand<W> {
             stiffness: blend_sides(plus, &rows.stiffness),
             damping: blend_sides(plus, &rows.damping),
             twist,
-            displacement: W::clamp_abs(displacement, soft_max),
-            clamped_displacement: W::clamp_abs(displacement, max_displacement(w, stiff_max, soft_max)),
+            displacement: bounded,
+            clamped_displacement: clamped,
         }
     }
 }
@@ -78,7 +83,10 @@ fn blend_sides<W: F64x8>(plus: W, pair: &[AxisArray; 2]) -> W {
 
 /// Returns `K_x ẽ`.
 #[inline(always)]
-fn apply_kx<W: F64x8>(params: &Params, adapted: W) -> W {
+fn apply_kx<W: F64x8>(params: &Params, features: Features, adapted: W) -> W {
+    if !features.coupled_gain {
+        return W::from_array(&params.axis_simd.kx_diagonal) * adapted;
+    }
     let (adapted, mut pull) = (adapted.to_axes(), W::splat(0.0));
     for c in 0..MAX_AXES {
         pull = W::fma(W::from_array(&params.axis_simd.kx[c]), W::splat(adapted[c]), pull);

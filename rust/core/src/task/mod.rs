@@ -11,7 +11,7 @@ pub(crate) mod reference_governor;
 
 pub(crate) use arm_state::ArmState;
 pub use pose_error::pose_error;
-pub(crate) use pose_error::pose_error_by;
+pub(crate) use pose_error::{frame_error, pose_error_by};
 
 use crate::MAX_AXES;
 use crate::kinematics::rotated_rows;

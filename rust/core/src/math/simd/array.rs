@@ -108,6 +108,19 @@ impl SimdVec for ArrayF64x8 {
 impl F64x8 for ArrayF64x8 {
     type Elem = BaselineF64;
     type Vec3 = ScalarVec3<BaselineF64>;
+    type Register = Self;
+
+    const REGISTERS: usize = 1;
+
+    #[inline(always)]
+    fn register(self, _: usize) -> Self {
+        self
+    }
+
+    #[inline(always)]
+    fn set_register(&mut self, _: usize, register: Self) {
+        *self = register;
+    }
 
     #[inline(always)]
     fn load_partial(values: &[f64]) -> Self {
@@ -121,6 +134,15 @@ impl F64x8 for ArrayF64x8 {
         let mut any = false;
         for i in 0..LANES {
             any |= a.0[i] < b.0[i];
+        }
+        any
+    }
+
+    #[inline(always)]
+    fn any_not_lt(a: Self, b: Self) -> bool {
+        let mut any = false;
+        for i in 0..LANES {
+            any |= !(a.0[i] < b.0[i]);
         }
         any
     }

@@ -110,8 +110,20 @@ impl JointVector for JointVec16 {
     type Elem = BaselineF64;
     type Axes = BaselineF64x8;
     type Vec3 = ScalarVec3<BaselineF64>;
+    type Register = Self;
 
+    const REGISTERS: usize = 1;
     const OUTLINED: bool = true;
+
+    #[inline(always)]
+    fn register(self, _: usize) -> Self {
+        self
+    }
+
+    #[inline(always)]
+    fn set_register(&mut self, _: usize, register: Self) {
+        *self = register;
+    }
 
     #[inline(always)]
     fn load(values: &JointVec) -> Self {
@@ -162,6 +174,11 @@ impl JointVector for JointVec16 {
             a.0.iter().zip(&b.0).any(|(a, b)| a < b)
         }
         anywhere(&self, &other)
+    }
+
+    #[inline(never)]
+    fn is_any_not_lt(self, other: Self) -> bool {
+        self.0.iter().zip(&other.0).any(|(a, b)| !(a < b))
     }
 
     #[inline(always)]

@@ -178,6 +178,18 @@ pub(crate) trait F64x8: SimdVec {
     /// 3-vector of the same instruction set.
     type Vec3: StoreVec3<Elem = Self::Elem>;
 
+    /// One register of the vector.
+    type Register: RealOps<Real = Self::Register>;
+
+    /// Number of registers, at most 4.
+    const REGISTERS: usize;
+
+    /// Returns the register of this index.
+    fn register(self, index: usize) -> Self::Register;
+
+    /// Replaces the register of this index.
+    fn set_register(&mut self, index: usize, register: Self::Register);
+
     /// Creates the vector from one number per task axis, zeros in the spare lanes.
     #[inline(always)]
     fn from_axes(v: &AxisVec) -> Self {
@@ -196,6 +208,9 @@ pub(crate) trait F64x8: SimdVec {
 
     /// Returns true if `a < b` in any lane.
     fn any_lt(a: Self, b: Self) -> bool;
+
+    /// Returns true if `a < b` is false in any lane, also because of a NaN.
+    fn any_not_lt(a: Self, b: Self) -> bool;
 
     /// Returns the sum of the lanes of each vector.
     fn hsum4(vectors: [Self; 4]) -> [f64; 4];

@@ -31,6 +31,12 @@ pub(crate) trait Vec3Ops: Copy {
     fn constant(v: &[f64; 3]) -> Self {
         Self::from_components([Self::Elem::splat(v[0]), Self::Elem::splat(v[1]), Self::Elem::splat(v[2])])
     }
+
+    /// As [`Vec3Ops::constant`], from a padded vector.
+    #[inline(always)]
+    fn constant_cell(cell: &PaddedVec3) -> Self {
+        Self::constant(&[cell[0], cell[1], cell[2]])
+    }
 }
 
 /// A 3-vector of one configuration that can be stored to memory.
@@ -111,6 +117,11 @@ impl<S: Vec3Register> Vec3Ops for S {
     #[inline(always)]
     fn from_components([x, y, z]: [f64; 3]) -> Self {
         S::load_cell(&[x, y, z, 0.0])
+    }
+
+    #[inline(always)]
+    fn constant_cell(cell: &PaddedVec3) -> Self {
+        S::load_cell(cell)
     }
 
     #[inline(always)]

@@ -15,6 +15,18 @@ pub(crate) trait JointVector: RealOps<Real = Self> + Number {
     /// 3-vector of the same instruction set.
     type Vec3: StoreVec3<Elem = Self::Elem>;
 
+    /// One register of the vector; the vector itself if it is not in registers.
+    type Register: RealOps<Real = Self::Register>;
+
+    /// Number of registers, at most 4.
+    const REGISTERS: usize;
+
+    /// Returns the register of this index.
+    fn register(self, index: usize) -> Self::Register;
+
+    /// Replaces the register of this index.
+    fn set_register(&mut self, index: usize, register: Self::Register);
+
     /// True to compile whole formulas as calls, for smaller code; for a type that does not fit in registers.
     const OUTLINED: bool = false;
 
@@ -47,6 +59,9 @@ pub(crate) trait JointVector: RealOps<Real = Self> + Number {
     /// Returns true if any element is less than the same element of `other`.
     fn is_any_lt(self, other: Self) -> bool;
 
+    /// Returns true if any element is not less than the same element of `other`, or is NaN.
+    fn is_any_not_lt(self, other: Self) -> bool;
+
     /// Returns the sum over the joints of each of four vectors.
     fn sum4(vectors: [Self; 4]) -> [f64; 4];
 
@@ -70,6 +85,19 @@ impl<W: F64x8> JointVector for W {
     type Elem = W::Elem;
     type Axes = W;
     type Vec3 = W::Vec3;
+    type Register = W::Register;
+
+    const REGISTERS: usize = W::REGISTERS;
+
+    #[inline(always)]
+    fn register(self, index: usize) -> W::Register {
+        W::register(self, index)
+    }
+
+    #[inline(always)]
+    fn set_register(&mut self, index: usize, register: W::Register) {
+        W::set_register(self, index, register);
+    }
 
     #[inline(always)]
     fn load(values: &JointVec) -> Self {
@@ -124,6 +152,11 @@ impl<W: F64x8> JointVector for W {
     #[inline(always)]
     fn is_any_lt(self, other: Self) -> bool {
         W::any_lt(self, other)
+    }
+
+    #[inline(always)]
+    fn is_any_not_lt(self, other: Self) -> bool {
+        W::any_not_lt(self, other)
     }
 
     #[inline(always)]

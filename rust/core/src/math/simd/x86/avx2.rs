@@ -4,7 +4,7 @@
 // instructions.
 
 use std::arch::x86_64::{
-    __m256d as Register, _CMP_LT_OQ, _mm256_add_epi64, _mm256_add_pd as add, _mm256_and_pd as and,
+    __m256d as Register, _CMP_LT_OQ, _CMP_NLT_UQ, _mm256_add_epi64, _mm256_add_pd as add, _mm256_and_pd as and,
     _mm256_andnot_pd as andnot, _mm256_blendv_pd, _mm256_castpd_si256, _mm256_castsi256_pd, _mm256_cmp_pd,
     _mm256_div_pd as div, _mm256_fmadd_pd as fmadd, _mm256_fnmadd_pd as fnmadd, _mm256_loadu_pd as loadu,
     _mm256_loadu_si256, _mm256_maskload_pd, _mm256_max_pd as max, _mm256_min_pd as min, _mm256_movemask_pd,
@@ -23,7 +23,7 @@ simd_type! {
     Avx2x8, 8 in registers of 4: 0 1
 }
 
-f64x8! { Avx2x8 beside FmaF64 and Avx2x4, registers of 4: 0 1 }
+f64x8! { Avx2x8 of Avx2x4 beside FmaF64 and Avx2x4, registers of 4: 0 1 }
 
 simd_type! {
     /// A vector of four numbers in one register, with fused multiply-add.
@@ -47,6 +47,12 @@ unsafe fn first_of(values: *const f64, count: usize) -> Register {
 unsafe fn cmp_lt(a: Register, b: Register) -> Register {
     // SAFETY: the processor has the instructions, see `SimdLevel`.
     unsafe { _mm256_cmp_pd::<_CMP_LT_OQ>(a, b) }
+}
+
+#[inline(always)]
+unsafe fn cmp_not_lt(a: Register, b: Register) -> Register {
+    // SAFETY: the processor has the instructions, see `SimdLevel`.
+    unsafe { _mm256_cmp_pd::<_CMP_NLT_UQ>(a, b) }
 }
 
 #[inline(always)]

@@ -133,25 +133,44 @@ macro_rules! simd_type {
 
 /// Implements [`F64x8`] for a vector of eight numbers.
 macro_rules! f64x8 {
-    ($name:ident beside $one:ident and $vec3_register:ident, registers of $width:literal: $($i:literal)*) => {
+    ($name:ident of $register:ident beside $one:ident and $vec3_register:ident,
+        registers of $width:literal: $($i:literal)*) => {
         impl F64x8 for $name {
             type Elem = crate::math::simd::$one;
             type Vec3 = $vec3_register;
+            type Register = $register;
+
+            const REGISTERS: usize = LANES / $width;
+
+            #[inline(always)]
+            fn register(self, index: usize) -> $register {
+                $register([self.0[index]])
+            }
+
+            #[inline(always)]
+            fn set_register(&mut self, index: usize, register: $register) {
+                self.0[index] = register.0[0];
+            }
 
             #[inline(always)]
             fn load_partial(values: &[f64]) -> Self {
                 // SAFETY: the processor has the instructions, see `SimdLevel`; each register reads only the numbers
-                // that the previous registers left.
-                Self(unsafe { [$({
-                    let rest = values.get($i * $width..).unwrap_or_default();
-                    first_of(rest.as_ptr(), rest.len())
-                }),*] })
+                // that the previous registers left. Where they left none, the pointer is not read.
+                Self(unsafe {
+                    [$(first_of(values.as_ptr().wrapping_add($i * $width), values.len().saturating_sub($i * $width))),*]
+                })
             }
 
             #[inline(always)]
             fn any_lt(a: Self, b: Self) -> bool {
                 // SAFETY: the processor has the instructions, see `SimdLevel`.
                 unsafe { false $(| mask_any(cmp_lt(a.0[$i], b.0[$i])))* }
+            }
+
+            #[inline(always)]
+            fn any_not_lt(a: Self, b: Self) -> bool {
+                // SAFETY: the processor has the instructions, see `SimdLevel`.
+                unsafe { false $(| mask_any(cmp_not_lt(a.0[$i], b.0[$i])))* }
             }
 
             #[inline(always)]

@@ -5,10 +5,11 @@
 
 use std::arch::x86_64::{
     __m128d as Register, _mm_add_epi64, _mm_add_pd as add, _mm_and_pd as and, _mm_and_si128, _mm_andnot_pd as andnot,
-    _mm_castpd_si128, _mm_castsi128_pd, _mm_cmplt_pd as cmp_lt, _mm_div_pd as div, _mm_load_sd, _mm_loadu_pd as loadu,
-    _mm_max_pd as max, _mm_min_pd as min, _mm_movemask_pd, _mm_mul_pd as mul, _mm_or_pd as or, _mm_set1_epi64x,
-    _mm_set1_pd as set1, _mm_slli_epi64, _mm_sqrt_pd as sqrt, _mm_storeu_pd as storeu, _mm_sub_epi64,
-    _mm_sub_pd as sub, _mm_unpackhi_pd as high, _mm_unpacklo_pd as low, _mm_xor_pd as xor, _mm_xor_si128,
+    _mm_castpd_si128, _mm_castsi128_pd, _mm_cmplt_pd as cmp_lt, _mm_cmpnlt_pd as cmp_not_lt, _mm_div_pd as div,
+    _mm_load_sd, _mm_loadu_pd as loadu, _mm_max_pd as max, _mm_min_pd as min, _mm_movemask_pd, _mm_mul_pd as mul,
+    _mm_or_pd as or, _mm_set1_epi64x, _mm_set1_pd as set1, _mm_slli_epi64, _mm_sqrt_pd as sqrt,
+    _mm_storeu_pd as storeu, _mm_sub_epi64, _mm_sub_pd as sub, _mm_unpackhi_pd as high, _mm_unpacklo_pd as low,
+    _mm_xor_pd as xor, _mm_xor_si128,
 };
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
@@ -21,7 +22,7 @@ simd_type! {
     Sse2x8, 8 in registers of 2: 0 1 2 3
 }
 
-f64x8! { Sse2x8 beside BaselineF64 and Sse2x4, registers of 2: 0 1 2 3 }
+f64x8! { Sse2x8 of Sse2x2 beside BaselineF64 and Sse2x4, registers of 2: 0 1 2 3 }
 
 simd_type! {
     /// A vector of two numbers in one register, without fused multiply-add.
