@@ -586,7 +586,7 @@ def test_a_failure_at_torque_on_ends_the_control_of_the_arm(quick, monkeypatch, 
 
 
 def test_a_slow_bus_and_a_wrong_stiffness_are_warned_of_at_torque_on(quick, monkeypatch):
-    monkeypatch.setattr(pliant.arm.arm, "stiffness_mismatch", lambda *_: "elbow: too soft")
+    monkeypatch.setattr(pliant.arm.arm, "stiffness_mismatch", lambda *_, **__: "elbow: too soft")
     read = quick.drive.read
     quick.drive.read = lambda: (read(), quick.drive.wait_until(quick.drive.time + 0.02))[0]
     quick.enable()
