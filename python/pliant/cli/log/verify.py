@@ -12,7 +12,7 @@ def run(log: LogFile) -> None:
     Args:
         log: MCAP file of `pliant run --log` or `pliant.log.Recorder`.
     """
-    from pliant import ConfigError
+    from pliant._core import ConfigError
     from pliant.log import read, verify
 
     recorded = read(log)
