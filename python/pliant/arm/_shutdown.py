@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 #: Shortest time between two progress messages of a descent, the lowering of the arm [s].
 PROGRESS = 1.0
 #: Minimum rate of the control loop of a descent [Hz]; a slow bus may still make it slower.
-MIN_RATE = 25.0
+MIN_RATE = 20.0
 #: Smallest gravity torque with which a message names a joint as carrying the arm [N·m].
 MIN_LOAD = 1e-3
 #: Largest length of an error text in a message [characters].

@@ -70,7 +70,7 @@ class Arm:
             table; None: straight down.
         on_exit: Action of `close` and of the end of `with` if torque is on: `lower` or
             `leave_enabled`.
-        rate: Rate of the arm's own loops in `enable` and `lower` [Hz]; `lower` runs at 25 Hz or
+        rate: Rate of the arm's own loops in `enable` and `lower` [Hz]; `lower` runs at 20 Hz or
             more.
         comm_timeout: Time without positions or without commands after which a `Loop` raises [s],
             at most 60.

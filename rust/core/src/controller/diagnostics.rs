@@ -2,14 +2,11 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::kinematics::KinematicScratch;
 use crate::law::activation::{Activation, product, responsibility};
 use crate::law::nullspace::{step_projector, step_pseudo_inverse};
-use crate::math::simd::{F64x8, Isa, JointVec16, JointVector, Kernel, RealOps};
-use crate::model::Chain;
-use crate::params::{Features, Params, Settings};
+use crate::math::simd::JointVec16;
+use crate::params::Params;
 use crate::pose::Pose;
-use crate::task::demand::AxisDemand;
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
 /// Intermediate results of the last control step. Of a 6-vector, the first k entries are those of the task axes, in the
@@ -65,7 +62,7 @@ pub struct Diagnostics {
     pub deviation_limited: [bool; MAX_AXES],
     /// Reference pose that the arm tracks: the target within the limits on speed, acceleration and deviation.
     pub reference: Pose,
-    /// True if [`PlainRecord`] has yet to compute a part of the results.
+    /// True if [`Diagnostics::complete`] has yet to store a part of the results.
     pub(super) is_partial: bool,
 }
 
@@ -98,22 +95,11 @@ impl Diagnostics {
         }
     }
 
-    /// Stores adapted deviation, velocity, softness, compliance and strength of each task axis; `horizon` is h [s].
-    #[inline(always)]
-    pub(super) fn set_demand<W: F64x8>(&mut self, demand: &AxisDemand<W>, horizon: f64) {
-        self.adapted_deviation = demand.adapted.to_axes();
-        self.task_velocity = (demand.clamped_displacement * W::splat(1.0 / horizon)).to_axes();
-        self.softness = demand.softness.to_axes();
-        self.compliance = demand.compliance.to_axes();
-        self.axis_strength = demand.max_strength.to_axes();
-    }
-
-    /// Stores the Jacobian rows of the task axes.
-    #[inline(always)]
-    pub(super) fn set_rows<J: JointVector>(&mut self, rows: &[J; MAX_AXES]) {
-        for r in 0..MAX_AXES {
-            rows[r].store(&mut self.rows[r]);
-        }
+    /// Completes the record of a plain step from that of a step with all parts at the same positions and reference. What
+    /// also depends on the state before the step stays.
+    pub(super) fn complete(&mut self, whole: &Self) {
+        let Self { velocity, gradient, factors, locked, .. } = *self;
+        *self = Self { velocity, gradient, factors, locked, ..*whole };
     }
 
     /// Returns the smallest and largest singular value of the scaled task rows.
@@ -154,34 +140,5 @@ impl Diagnostics {
     pub(crate) fn singular_values(&self, params: &Params) -> DVector<f64> {
         let scaled = |r: usize, i: usize| params.row_scale[r] * self.rows[r][i];
         crate::math::svd::singular_values(&DMatrix::from_fn(params.k, params.n, scaled))
-    }
-}
-
-/// Completion of the record of a plain step: its other results follow from those that the step stores, with the
-/// parameters of the step.
-pub(super) struct PlainRecord<'a> {
-    pub(super) params: &'a Params,
-    pub(super) settings: &'a Settings,
-    pub(super) chain: &'a Chain,
-    pub(super) record: &'a mut Diagnostics,
-}
-
-impl Kernel for PlainRecord<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<M: Isa>(self) {
-        let Self { params, settings, chain, record } = self;
-        let (q, deviation) = (<M::F64x8 as JointVector>::load(&record.q), M::F64x8::from_axes(&record.deviation));
-        let view = chain.evaluate(Features::PLAIN.any_chain, q, None, &mut KinematicScratch::new());
-        record.set_rows(&view.j_base);
-        let none = M::F64x8::splat(0.0);
-        let demand = AxisDemand::new(params, settings, Features::PLAIN, deviation, none);
-        record.set_demand(&demand, settings.paper_options.horizon);
-        let lambda = params.damping.lambda_0;
-        (record.wrench, record.gravity, record.feed_forward) = ([0.0; MAX_AXES], [0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
-        (record.followed_sigma, record.damping) = (None, (lambda * lambda).sqrt());
-        (record.gamma, record.gain_factor) = (1.0, 1.0);
-        (record.deviation_limited, record.is_partial) = ([false; MAX_AXES], false);
     }
 }

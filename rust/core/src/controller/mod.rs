@@ -33,7 +33,6 @@ pub use input::StepInput;
 pub(crate) use input::period;
 pub use snapshot::Snapshot;
 
-use diagnostics::PlainRecord;
 use input::Input;
 use payload_ramp::{PayloadRamp, mass_moment};
 use state::State;
@@ -418,12 +417,15 @@ impl Controller {
         self.state.limit.map(|_| &self.command)
     }
 
-    /// Returns the record of the last step, completed after a plain step.
+    /// Returns the record of the last step. After a plain step, a step with all parts at the same positions and
+    /// reference completes it.
     fn record(&self) -> Diagnostics {
         let mut record = self.diagnostics;
         if record.is_partial {
-            let (params, settings, chain) = (&self.params, &self.settings, self.model.chain());
-            self.simd_level.dispatch_narrow(PlainRecord { params, settings, chain, record: &mut record });
+            let (mut whole, input) = (self.clone(), Input::new(1.0 / self.settings.rate));
+            let (q, target) = (&record.q[..self.params.n], &record.reference);
+            self.simd_level.dispatch_narrow(Step { controller: &mut whole, q, target, input: &input });
+            record.complete(&whole.diagnostics);
         }
         record
     }

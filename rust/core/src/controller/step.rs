@@ -150,7 +150,8 @@ impl StepContext<'_> {
     /// Runs the step of an arm with more than [`LANES`] joints; compiled once for all instruction sets.
     #[inline(never)]
     fn step_large_arm(&mut self, features: Features) -> bool {
-        self.step_generic::<JointVec16>(features)
+        // Known to the compiler, which then omits what only a plain step does.
+        self.step_generic::<JointVec16>(Features { inputs: true, ..features })
     }
 
     /// Runs the step, lines 1 to 12 of the listing; returns false if positions, target or command are invalid.
@@ -498,8 +499,15 @@ impl StepContext<'_> {
         if record.is_partial {
             return;
         }
-        record.set_demand(demand, self.settings.paper_options.horizon);
-        record.set_rows(arm.rows);
+        record.adapted_deviation = demand.adapted.to_axes();
+        let horizon = self.settings.paper_options.horizon;
+        record.task_velocity = (demand.clamped_displacement * J::Axes::splat(1.0 / horizon)).to_axes();
+        record.softness = demand.softness.to_axes();
+        record.compliance = demand.compliance.to_axes();
+        record.axis_strength = demand.max_strength.to_axes();
+        for r in 0..MAX_AXES {
+            arm.rows[r].store(&mut record.rows[r]);
+        }
         record.wrench = motion.wrench.total().to_axes();
         arm.view.holding.store(&mut record.gravity);
         solution.feed_forward.store(&mut record.feed_forward);
