@@ -574,7 +574,7 @@ def reported(device, time, status=0, **values):
     """Pass values of status registers to a device, like a reply read at `time` [s]."""
     before = device.changes.status
     device._note(values, status, time)
-    assert device.changes.status > before  # so that the next status is made anew
+    assert device.changes.status > before  # the next status is read again, not the cached one
     return device.faults
 
 
