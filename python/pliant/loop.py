@@ -399,7 +399,7 @@ class Loop:
                 target=_close_quietly, args=(recorder, errors), name="pliant-log", daemon=True
             )
             thread.start()
-            self._arm.finish_later(thread)
+            self._arm._finish_later(thread)
             if raises:
                 thread.join(CLOSE_PATIENCE)
                 if errors and not thread.is_alive():

@@ -149,6 +149,26 @@ def test_a_stalled_program_is_lowered_although_stderr_cannot_be_written(kind):
     assert stdout == ["torque", "off", "down"]
 
 
+def test_ctrl_c_while_a_stalled_program_is_lowered_says_that_it_is_lowered_already():
+    _, stderr, code = run("""
+        def press():
+            while not arm._supervisor.is_leaving:
+                time.sleep(0.01)
+            time.sleep(0.2)
+            kill("SIGINT")
+        with connect(real_time=True, comm_timeout=0.1, dt=0.005, q=NEAR):
+            threading.Thread(target=press, daemon=True).start()
+            for tick in pliant.Loop(arm):
+                tick.skip()
+                if tick.index == 5:
+                    time.sleep(20.0)
+    """)
+    first, second, *_ = [line for line in stderr.splitlines() if line.startswith("pliant: ")]
+    assert "the arm was taken over). Ctrl-C twice leaves at once" in first, stderr
+    assert "is being lowered already. Ctrl-C again leaves at once" in second
+    assert code == -signal.SIGINT
+
+
 def test_a_program_that_blocks_after_ctrl_c_is_lowered():
     stdout, stderr, _ = run("""
         with connect(real_time=True, comm_timeout=0.1, dt=0.005, q=NEAR):

@@ -73,6 +73,22 @@ def test_a_gain_that_differs_from_the_servo_is_reported():
     assert "shoulder_pan" not in notes
 
 
+def test_a_servo_that_torque_on_would_refuse_is_not_ready():
+    """A gripper of the calibration, outside the range of its own goals: no joint of the model."""
+    with make_emulator(config.load("so101", backend="emulator")) as bus:
+        servo = bus.servo(6)
+        servo.put("min_position_limit", servo.get("present_position") + 100)
+        arm_config = config.load("so101", port=bus.port)
+        bad = {f.about: f.text for f in examine(arm_config) if f.level == "bad"}
+        with (
+            pytest.raises(pliant.ServoError) as refused,
+            pliant.connect(arm_config, handle_signals=False, guardian=False),
+        ):
+            pass
+    assert bad["gripper"] in str(refused.value)
+    assert "outside of" in bad["gripper"]
+
+
 def test_the_watch_ends_with_a_rest_pose_to_paste(capsys):
     with make_emulator(config.load("so101", backend="emulator")) as bus:
         assert (

@@ -252,3 +252,20 @@ def test_invalid_settings_are_reported_before_torque_comes_on(
     file.write_text('backend = "sim"\nrobot.builtin = "so101"\n')
     assert main([command[0], str(file), *command[1:]]) == 2
     assert "6 axes on an arm of 5 joints" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["log", "info", "."], ".: Is a directory"),
+        (["servos", "doctor", "/"], "/ is a folder: name a configuration file in it"),
+        (["log", "verify", "x.mcap"], "x.mcap is not a log of pliant: it does not begin as MCAP"),
+    ],
+)
+def test_the_wrong_kind_of_file_is_named_once(words, message, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "x.mcap").write_text("no log")
+    assert main(words) == 2
+    error = capsys.readouterr().err
+    assert error.startswith(f"error: {message}")
+    assert error.count(words[-1]) == message.count(words[-1])

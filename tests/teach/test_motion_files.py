@@ -52,6 +52,17 @@ def test_numbers_and_nesting_that_are_too_large(motion_file, text, message, caps
     assert message in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("row", [[], [0.3, 0.1], 3.0, None, [0.3, *[0.1] * 6]])
+def test_a_sample_of_another_length_is_named(motion_file, row):
+    path, data = motion_file
+    data["samples"][3] = row
+    path.write_text(json.dumps(data))
+    with pytest.raises(pliant.ConfigError, match="sample 4 of 11 must be 6 numbers: a time, 5"):
+        Motion.load(path)
+    with pytest.raises(pliant.ConfigError, match="arrays of real numbers"):
+        Motion(NAMES, [0.0, 1.0], [[0.0] * 5, row])
+
+
 @pytest.mark.parametrize("factor", [1e-300, 1e-6, 1e6, 1e300])
 def test_times_that_are_not_in_seconds_are_refused(motion_file, factor):
     path, data = motion_file

@@ -78,6 +78,14 @@ class ExitMessages:
             f"{self._name} is being lowered{why}. {abort} at once, torque ON", self._level
         )
 
+    def begin_again(self) -> Message:
+        """Send and return the message of a Ctrl-C while another thread lowers the arm."""
+        return MESSAGES.post(
+            f"Ctrl-C: {self._name} is being lowered already. Ctrl-C again leaves at once, torque "
+            "ON",
+            self._level,
+        )
+
     def progress(self, lowering: Lowering) -> None:
         """Send a message about the progress of a descent, at most once every `PROGRESS` seconds."""
         now = time.monotonic()

@@ -95,8 +95,11 @@ class Signals:
         if self.installed:
             self.leaving = True
 
-    def begin(self, announcement: Message) -> None:
-        """Mark the arm as being lowered; `announcement` is the message that told the user so."""
+    def begin(self, announcement: Message | None) -> None:
+        """Mark the arm as being lowered; `announcement` is the message that told the user so.
+
+        None: no message told so, because another thread lowers the arm already.
+        """
         if self.installed:
             _REGISTRY.begin(self, announcement)
 
@@ -166,7 +169,7 @@ class Registry:
                     # the default action instead.
                     signal.signal(number, signal.SIG_DFL if handler is None else handler)
 
-    def begin(self, arm: Signals, announcement: Message) -> None:
+    def begin(self, arm: Signals, announcement: Message | None) -> None:
         """Mark an arm as being lowered; until `remove`, signals are stored and not raised.
 
         If a Ctrl-C caused the descent, `announcement` told the user that the next one aborts it.

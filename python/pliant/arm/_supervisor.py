@@ -90,6 +90,7 @@ class Supervisor:
         lock: Lock that the thread with access to the drive holds.
         reason: Reason for which the watchdog thread has called `leave`; None if it has not. `Arm`
             also sets it when the program ends.
+        is_leaving: True while the watchdog thread calls `leave`.
         abort: Event that aborts a running descent in any thread.
         heartbeat: Two times [s] that the guardian reads: the last access to the drive, and the
             timeout after which the program counts as hanging (0: no timeout).
@@ -101,6 +102,7 @@ class Supervisor:
         self.abort = threading.Event()
         self.reason: str | None = None
         self.owner: int | None = None
+        self.is_leaving = False
         self._leave, self._last_call = leave, 0.0
         self._done = threading.Event()
         self.heartbeat = private_heartbeat()
@@ -234,8 +236,11 @@ class Supervisor:
         """Call `leave` after a stall of `stall` [s]; store the stall and any error in `reason`."""
         self.reason = f"the program did not come back for {stall:.2f} s: the arm was taken over"
         self.abort.clear()
+        self.is_leaving = True
         with _SHORT_SWITCH_INTERVAL:
             try:
                 self._leave()
             except BaseException as error:
                 self.reason += f"; while it was being lowered: {error}"
+            finally:
+                self.is_leaving = False

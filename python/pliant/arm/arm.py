@@ -330,7 +330,7 @@ class Arm:
         while self._unfinished_threads:
             self._unfinished_threads.pop().join()
 
-    def finish_later(self, thread: Thread) -> None:
+    def _finish_later(self, thread: Thread) -> None:
         """Make `close` wait for a thread once torque is off; `Loop` ends its recorder like this."""
         self._unfinished_threads.append(thread)
 
@@ -343,7 +343,13 @@ class Arm:
             return
         error, signals = sys.exception(), self._signals
         messages = self._exit_messages(self._supervisor.reason or exit_cause(error))
-        announcement = messages.begin(interrupted=is_interrupted(error))
+        interrupted = is_interrupted(error)
+        if not self._supervisor.is_leaving:
+            announcement = messages.begin(interrupted=interrupted)
+        elif interrupted:
+            announcement = messages.begin_again()
+        else:
+            announcement = None
         if signals is not None:
             signals.begin(announcement)
         try:

@@ -149,9 +149,7 @@ def _call(
             return code
         if isinstance(error, BrokenPipeError):
             raise
-        return _print_error(
-            _describe_missing_file(error) if isinstance(error, FileNotFoundError) else str(error)
-        )
+        return _print_error(_describe(error))
     except (PliantError, ImportError) as error:
         error_code = _print_error(str(error))
         return error_code if (code := _signal_exit_code(error)) is None else code
@@ -194,11 +192,18 @@ def _hint(name: str) -> str:
     return ""
 
 
-def _describe_missing_file(error: FileNotFoundError) -> str:
-    """Return an error text about a missing folder, or a missing file with similar files."""
-    if error.filename is None:
+def _describe(error: OSError) -> str:
+    """Return the text of an error of the operating system, without its number.
+
+    About a missing file, it names the missing folder, or similar files.
+    """
+    if error.strerror is None:
         return str(error)
+    if not isinstance(error.filename, str | bytes):  # None, or the number of an open file
+        return error.strerror
     path = Path(os.fsdecode(error.filename))
+    if not isinstance(error, FileNotFoundError):
+        return f"{path}: {error.strerror}"
     if not path.absolute().parent.is_dir():
         return f"there is no folder {path.absolute().parent} for {path.name}"
     similar = sorted(other.name for other in path.absolute().parent.glob(f"*{path.suffix}"))[

@@ -129,6 +129,8 @@ MAX_LINE = 4096
 READ_SIZE = 65536
 #: Pause after each read of a pipe [s].
 READ_PAUSE = 0.001
+#: Number of lines from which a message says that a file is checked, which takes seconds.
+MANY_TARGETS = 50_000
 #: Maximum number of datagrams read per control cycle.
 MAX_DATAGRAMS = 256
 
@@ -178,6 +180,8 @@ class FileTargets(NoTargets):
             raise  # the command line lists the existing files
         except (OSError, UnicodeDecodeError) as error:
             raise ConfigError(f"{path} cannot be read: {error}") from error
+        if len(text) > MANY_TARGETS:
+            print(f"checking the {len(text)} lines of {path} …", file=sys.stderr, flush=True)
         self._targets = []
         for number, line in enumerate(text, 1):
             if line.strip():

@@ -61,6 +61,8 @@ def load(source: str | Path, **overrides: Unpack[Overrides]) -> Config:
         text, folder, label = _read(path), path.resolve().parent, str(source)
     elif path.suffix != ".toml" and name in list_arms():
         text, folder, label = builtin_text(name), Path.cwd(), f"{name} (ready file)"
+    elif path.is_dir():
+        raise ConfigError(f"{name} is a folder: name a configuration file in it")
     elif path.suffix == ".toml" or len(path.parts) > 1:
         raise ConfigError(f"there is no file {name}; ready files: {', '.join(list_arms())}")
     else:

@@ -157,7 +157,7 @@ class Servo(StrictModel):
     upper: Number | None = None
     stall: Positive | None = None
     torque_offset: NotNegative = 0.0
-    gain: Annotated[int, Field(ge=1, le=16383, strict=True)] | None = None
+    gain: Annotated[int, Field(ge=1, le=254, strict=True)] | None = None
     kp: Positive | None = None
     friction: NotNegative | None = None
     damping: NotNegative | None = None

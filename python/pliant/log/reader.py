@@ -110,6 +110,8 @@ def read(path: str | Path) -> Log:
     """
     try:
         return _read(Path(path))
+    except ConfigError:  # which is a ValueError too
+        raise
     except PARSE_ERRORS as error:
         kind = type(error).__name__
         raise ConfigError(f"{path} is not a log of pliant: {kind}: {error}") from error

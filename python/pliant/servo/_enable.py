@@ -368,17 +368,27 @@ def _check_state(device: Device, ports: Ports, goal: Sequence[float]) -> Registe
             f"{device.name} is at {start:.2f} rad and not at {expected:.2f}: enable it with its "
             "present position as goal, and move it afterwards"
         )
-    raw = round(device.position)
-    # A joint pressed against its stop reads a little outside of the range that was calibrated
-    # there; torque moves it back by less than `MAX_MOTION`.
-    slack = 0 if device.multi_turn else MAX_MOTION / device.units.count
-    is_far = not device.low - slack <= raw <= device.high + slack
-    if not device.multi_turn and is_far and not image["torque_enable"]:
-        raise ServoError(
-            f"{device.name} is at count {raw}, more than {slack:.0f} outside of {device.low} to "
-            f"{device.high} where its goals may be, and would jump there: move it by hand"
-        )
+    text = range_error(device)
+    if text is not None and not image["torque_enable"]:
+        raise ServoError(text)
     return image
+
+
+def range_error(device: Device) -> str | None:
+    """Return an error text if a servo is too far outside the range of its goals for torque on.
+
+    A joint pressed against its stop reads a little outside of the range that was calibrated there;
+    torque moves it back by less than `MAX_MOTION`.
+    """
+    if device.multi_turn or device.position is None:
+        return None
+    raw, slack = round(device.position), MAX_MOTION / device.units.count
+    if device.low - slack <= raw <= device.high + slack:
+        return None
+    return (
+        f"{device.name} is at count {raw}, more than {slack:.0f} outside of {device.low} to "
+        f"{device.high} where its goals may be, and would jump there: move it by hand"
+    )
 
 
 def _has_tripped(device: Device, images: Mapping[int, RegisterImage]) -> bool:

@@ -336,6 +336,12 @@ class ServoBus:
         return np.array([s.row.stall_current * len(s.servos) for s in self.specs])
 
     @property
+    def range_errors(self) -> dict[str, str]:
+        """Error texts about servos that `enable` rejects, because they are outside their range."""
+        texts = {device.spec.name: sequences.range_error(device) for device in self._devices}
+        return {name: text for name, text in texts.items() if text is not None}
+
+    @property
     def counters(self) -> dict[str, int]:
         """Event counters since open by name, summed over all ports.
 

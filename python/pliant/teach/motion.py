@@ -65,8 +65,13 @@ class Motion:
 
     def __post_init__(self) -> None:
         """Check that shapes match, times rise, and all numbers are finite."""
-        time, q = np.asarray(self.time, dtype=np.float64), np.asarray(self.q, dtype=np.float64)
-        extra = {name: np.asarray(row, dtype=np.float64) for name, row in self.extra.items()}
+        try:
+            time, q = np.asarray(self.time, dtype=np.float64), np.asarray(self.q, dtype=np.float64)
+            extra = {name: np.asarray(row, dtype=np.float64) for name, row in self.extra.items()}
+        except (TypeError, ValueError) as error:
+            raise ConfigError(
+                f"time, q and extra of a motion must be arrays of real numbers: {error}"
+            ) from error
         size = (time.size, len(self.joints))
         if time.ndim != 1 or time.size < MIN_SAMPLES or q.shape != size:
             raise ConfigError(
@@ -289,11 +294,16 @@ class Motion:
             data: Any = json.loads(read_text(path, LARGE))
             if data["format"] != FORMAT:
                 raise ConfigError(f"format is {data['format']!r}, this pliant reads {FORMAT!r}")
-            rows = np.array(data["samples"], dtype=np.float64)
-            joints, names = tuple(data["joints"]), list(data["extra"])
+            joints, names, samples = tuple(data["joints"]), list(data["extra"]), data["samples"]
             n = len(joints)
-            if rows.ndim != 2 or rows.shape[1] != 1 + n + len(names):
-                raise ConfigError(f"a sample needs a time, {n} joints and {len(names)} extra")
+            width = 1 + n + len(names)
+            for i, sample in enumerate(samples, 1):
+                if not isinstance(sample, list) or len(sample) != width:
+                    raise ConfigError(
+                        f"sample {i} of {len(samples)} must be {width} numbers: a time, {n} joints "
+                        f"and {len(names)} extra"
+                    )
+            rows = np.array(samples, dtype=np.float64).reshape(-1, width)
             extra = dict(zip(names, rows[:, 1 + n :].T, strict=True))
             note, start = str(data.get("note", "")), data.get("start")
             if start is not None:

@@ -207,6 +207,29 @@ fn changes_of_payload_gravity_and_delay_take_effect_and_persist() {
 }
 
 #[test]
+fn a_payload_that_would_throw_a_running_arm_is_rejected() {
+    let (_, mut controller, target) = make(Settings::default());
+    let payload = |mass| Payload { mass, com: [0.0; 3] };
+    // The heaviest that a controller accepts before its first step, because the servos hold it in some pose.
+    let loads = (1..30).map(|mass| payload(f64::from(mass)));
+    let heaviest = &loads.filter(|load| make(Settings::default()).1.set_payload(Some(load)).is_ok()).last().unwrap();
+    controller.step(&Q, &target, &StepInput::default()).unwrap();
+    let before = controller.snapshot();
+    let error = controller.set_payload(Some(heaviest)).unwrap_err().to_string();
+    assert!(error.contains("2 times the torque of its servo") && error.contains("mass [kg]"), "{error}");
+    assert_eq!(controller.snapshot(), before);
+    controller.set_payload(Some(&payload(0.5))).unwrap();
+    // Less than the present load is accepted, and so is any load where gravity is not compensated.
+    let mut loaded = make(Settings::default()).1;
+    loaded.set_payload(Some(heaviest)).unwrap();
+    loaded.step(&Q, &target, &StepInput::default()).unwrap();
+    loaded.set_payload(Some(&payload(0.9 * heaviest.mass))).unwrap();
+    let (_, mut printed, target) = make(Settings { law: Law::Paper, gravity: false, ..Settings::default() });
+    printed.step(&Q, &target, &StepInput::default()).unwrap();
+    printed.set_payload(Some(heaviest)).unwrap();
+}
+
+#[test]
 fn a_payload_change_takes_half_a_second() {
     let (_, mut controller, target) = make(Settings::default());
     let payload = Payload { mass: 0.4, com: [0.02, 0.03, 0.05] };

@@ -38,6 +38,9 @@ use payload_ramp::{PayloadRamp, mass_moment};
 use state::State;
 use step::{PlainStep, Step};
 
+/// Largest torque that holds a payload set while the controller runs, as a multiple of the usable torque.
+const LARGEST_LOAD: f64 = 2.0;
+
 /// Compliant task-space controller of one arm.
 #[derive(Debug, Clone)]
 pub struct Controller {
@@ -256,13 +259,14 @@ impl Controller {
     ///
     /// # Errors
     /// [`Error::OutOfRange`] for an invalid payload and, if gravity is compensated, for a load that the servos cannot
-    /// hold in any of the sampled configurations.
+    /// hold in any of the sampled configurations, or that needs more than twice their torque at the present goals.
     pub fn set_payload(&mut self, payload: Option<&Payload>) -> Result<()> {
         if let Some(payload) = payload {
             payload.validate()?;
         }
         let masses = self.model.chain().masses(payload);
         self.check_holding(self.settings.gravity_use(), &masses)?;
+        self.check_load(&masses)?;
         let from = match &self.payload_ramp {
             Some(payload_ramp) => payload_ramp.current(self.payload.as_ref()),
             None => mass_moment(self.payload.as_ref()),
@@ -322,7 +326,7 @@ impl Controller {
         if !self.params.servos.has_kp {
             return Err(Error::config("servos", "capturing gravity needs an assumed k_p: give servos"));
         }
-        let holding = self.holding_torques(&q);
+        let holding = self.holding_torques(&q, &self.masses);
         let captured = self.params.servos.captured_compliance(self.params.n, &q, &goal, &holding);
         // Subtract the change of the gravity offset from the integrated lead, so that it does not count twice.
         if self.settings.gravity_use().in_goal() {
@@ -434,7 +438,7 @@ impl Controller {
     pub fn diagnostics(&self) -> Diagnostics {
         let mut diagnostics = self.record();
         if !self.params.features.gravity {
-            diagnostics.gravity = self.holding_torques(&diagnostics.q);
+            diagnostics.gravity = self.holding_torques(&diagnostics.q, &self.masses);
         }
         for i in 0..self.params.n {
             diagnostics.saturated[i] = self.command.torque_limit[i] >= self.params.servos.torque[i];
@@ -548,6 +552,31 @@ impl Controller {
         }
     }
 
+    /// Checks that a new load of a running controller does not need a multiple of the servos' torque at its goals.
+    ///
+    /// Such a load is a mistake, e.g. a mass in grams, and would throw the arm upward. A load that is smaller than the
+    /// present one is accepted.
+    fn check_load(&self, masses: &GroupMasses) -> Result<()> {
+        if !self.state.started || self.settings.gravity_use() == GravityUse::Off {
+            return Ok(());
+        }
+        let usable = &self.params.servos.torque;
+        let [new, present] =
+            [masses, self.current_masses()].map(|masses| self.holding_torques(&self.state.goal, masses));
+        let is_excessive = |&i: &usize| new[i].abs() > LARGEST_LOAD * usable[i] && new[i].abs() > present[i].abs();
+        (0..self.params.n).find(is_excessive).map_or(Ok(()), |i| {
+            Err(Error::out_of_range(
+                format!("torque that holds the payload at joint {} [N·m]", self.model.joint_names()[i]),
+                new[i],
+                format!(
+                    "±{:.3}, {LARGEST_LOAD} times the torque of its servo, in the present pose: check mass [kg] and com [m] \
+                     of the payload",
+                    LARGEST_LOAD * usable[i]
+                ),
+            ))
+        })
+    }
+
     /// Checks that the rest posture of the settings, if any, consists of plausible joint positions.
     fn check_posture(&self, settings: &Settings) -> Result<()> {
         settings
@@ -566,12 +595,12 @@ impl Controller {
         self.state.cold = true;
     }
 
-    /// Returns the torques [N·m] that hold the arm at `q` with the present payload and gravity vector.
-    fn holding_torques(&self, q: &JointVec) -> JointVec {
+    /// Returns the torques [N·m] that hold an arm with `masses` at `q` with the present gravity vector.
+    fn holding_torques(&self, q: &JointVec, masses: &GroupMasses) -> JointVec {
         let mut frames = JointFrames::default();
         let mut holding = [0.0; MAX_JOINTS];
         self.model.chain().forward(q, &mut frames);
-        self.model.chain().gravity(&frames, &self.masses, self.gravity, &mut holding);
+        self.model.chain().gravity(&frames, masses, self.gravity, &mut holding);
         holding
     }
 
