@@ -210,6 +210,8 @@ def test_a_urdf_is_not_taken_for_a_configuration(tmp_path):
 def test_a_gain_that_a_servo_does_not_keep_is_rejected():
     with pytest.raises(pliant.ConfigError, match=r"servo\.a: gain: XM430-W350 starts with"):
         config.parse(SIM + '[servo.a]\nmodel = "XM430-W350"\nid = 1\ngain = 800')
+    with pytest.raises(pliant.ConfigError, match=r"gain: STS3215-7\.4V takes 1 to 254, got 5000"):
+        config.parse(SIM + '[servo.a]\nmodel = "STS3215-7.4V"\nid = 1\ngain = 5000')
 
 
 def test_missing_files(tmp_path):

@@ -36,6 +36,8 @@ NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False, strict=True)]
 Number = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 Vector3 = tuple[Number, Number, Number]
 Id = Annotated[int, Field(ge=0, le=252, strict=True)]
+#: Largest value of the P gain register of Feetech servos.
+MAX_GAIN = 254
 
 
 class StrictModel(BaseModel):
@@ -157,7 +159,7 @@ class Servo(StrictModel):
     upper: Number | None = None
     stall: Positive | None = None
     torque_offset: NotNegative = 0.0
-    gain: Annotated[int, Field(ge=1, le=254, strict=True)] | None = None
+    gain: Annotated[int, Field(ge=1, strict=True)] | None = None
     kp: Positive | None = None
     friction: NotNegative | None = None
     damping: NotNegative | None = None
@@ -178,6 +180,8 @@ class Servo(StrictModel):
                 f"gain: {self.model} starts with the maker's gain whenever it is switched on; "
                 "leave it out"
             )
+        if self.gain is not None and self.gain > MAX_GAIN:
+            raise ValueError(f"gain: {self.model} takes 1 to {MAX_GAIN}, got {self.gain}")
         return self
 
 

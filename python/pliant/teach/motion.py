@@ -294,7 +294,7 @@ class Motion:
             data: Any = json.loads(read_text(path, LARGE))
             if data["format"] != FORMAT:
                 raise ConfigError(f"format is {data['format']!r}, this pliant reads {FORMAT!r}")
-            joints, names, samples = tuple(data["joints"]), list(data["extra"]), data["samples"]
+            samples, joints, names = data["samples"], tuple(data["joints"]), list(data["extra"])
             n = len(joints)
             width = 1 + n + len(names)
             for i, sample in enumerate(samples, 1):
