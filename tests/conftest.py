@@ -75,6 +75,20 @@ def pytest_configure() -> None:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+@pytest.fixture
+def real_time_priority():
+    """Return a context in which this thread has a real-time priority; skip where it may not."""
+    import pliant
+    from pliant._priority import real_time_priority
+
+    try:
+        with real_time_priority(5):
+            pass
+    except (pliant.ConfigError, AttributeError) as error:  # macOS has no os.sched_getscheduler
+        pytest.skip(f"not permitted here: {error}")
+    return real_time_priority(5)
+
+
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers() -> int | None:
     """Return the number of workers for `--numprocesses=auto`; None leaves it to xdist."""

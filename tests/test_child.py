@@ -47,6 +47,16 @@ def test_a_child_that_cannot_start_does_not_raise(ends):
 
 
 @pytest.mark.slow
+def test_a_child_does_not_inherit_a_real_time_priority(ends, real_time_priority):
+    local, remote = ends
+    with real_time_priority:
+        process = start_module("socket_child", remote, str(local.fileno()))
+        assert os.sched_getscheduler(process.pid) == os.SCHED_OTHER
+    local.sendall(b".")
+    assert process.wait(60) == 0
+
+
+@pytest.mark.slow
 @pytest.mark.skipif(not POSIX, reason="Ctrl-C goes to the foreground group of a POSIX terminal")
 def test_ctrl_c_reaches_the_program_and_not_its_child(ends):
     local, remote = ends

@@ -9,6 +9,8 @@ import subprocess
 import sys
 from typing import Any
 
+from pliant._priority import end_real_time_priority
+
 
 def child_options() -> dict[str, Any]:
     """Return arguments of `subprocess.Popen` for a process that Ctrl-C does not reach."""
@@ -26,7 +28,9 @@ def start_module(module: str, shared: socket.socket, *arguments: str) -> subproc
     command = [sys.executable, "-m", module, str(number), *arguments]
     options = child_options() | {"stdout": subprocess.DEVNULL}
     if sys.platform != "win32":
-        return subprocess.Popen(command, stdin=subprocess.DEVNULL, pass_fds=(number,), **options)
+        child = subprocess.Popen(command, stdin=subprocess.DEVNULL, pass_fds=(number,), **options)
+        end_real_time_priority(child.pid)
+        return child
     # Windows does not promise that a process can use an inherited socket.
     process = subprocess.Popen(command, stdin=subprocess.PIPE, **options)
     with contextlib.suppress(OSError), process.stdin:

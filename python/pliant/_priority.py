@@ -65,6 +65,18 @@ def check_real_time_priority(priority: int | None) -> int | None:
     return priority
 
 
+def end_real_time_priority(pid: int) -> None:
+    """Take its real-time priority from a process that this program has just started.
+
+    A process inherits the policy of the thread that starts it. Until it calls `lower_priority`, its
+    start would otherwise occupy a core for a tenth of a second, and delay the control loop.
+    """
+    if sys.platform == "linux":
+        with contextlib.suppress(OSError):
+            if os.sched_getscheduler(pid) in {os.SCHED_FIFO, os.SCHED_RR}:
+                os.sched_setscheduler(pid, os.SCHED_OTHER, os.sched_param(0))
+
+
 @contextlib.contextmanager
 def real_time_priority(priority: int | None) -> Iterator[None]:
     """Return a context in which this thread, and threads that it starts, have real-time priority.

@@ -1,5 +1,7 @@
 """`Recorder`: errors for invalid arguments, and for calls in the wrong order."""
 
+import os
+
 import numpy as np
 import pytest
 
@@ -42,6 +44,16 @@ def test_a_recorder_serves_one_loop_and_is_closed_with_it(arm, tmp_path):
     assert len(log) == recorder.ticks == 5
     with pytest.raises(pliant.ConfigError, match=r"x\.mcap belongs to another loop"):
         pliant.Loop(arm, recorder=recorder)
+
+
+def test_the_writer_does_not_inherit_a_real_time_priority(arm, tmp_path, real_time_priority):
+    recorder = Recorder(tmp_path / "x.mcap")
+    with real_time_priority:
+        loop = pliant.Loop(arm, duration=0.05, recorder=recorder)
+        assert os.sched_getscheduler(recorder._process.pid) not in {os.SCHED_FIFO, os.SCHED_RR}
+    for tick in loop:
+        tick.skip()
+    assert read(tmp_path / "x.mcap").whole
 
 
 def test_a_loop_left_early_leaves_a_whole_log_with_its_last_tick(arm, tmp_path):

@@ -15,6 +15,7 @@ import numpy as np
 from pliant._child import child_options
 from pliant._core import ConfigError, Controller, __version__
 from pliant._files import check_output
+from pliant._priority import end_real_time_priority
 from pliant._validation import format_value, instance
 from pliant.arm._checks import check_same_robot
 from pliant.log import frames, layout, serialization
@@ -131,6 +132,7 @@ class Recorder:
             # Protect the writer from Ctrl-C and a closed terminal; it ends when its pipe closes.
             **child_options(),
         )
+        end_real_time_priority(self._process.pid)
         assert self._process.stdin is not None
         self._sender = frames.Sender(self._process.stdin.fileno())
         self._sender.send(frames.RUN, serialization.write(run).encode())
