@@ -773,7 +773,7 @@ def test_a_joint_that_jumps_or_overheats_is_a_fault(io):
         io.read()
     (fault,) = io.faults()
     assert fault.startswith("shoulder_lift: its position jumped by")
-    io.thermal.set_temperature(4, 99.0)
+    io._store_supply(4, None, 99.0)
     assert io.faults()[1].startswith("wrist_roll is at 99 °C")
     io._update_status(ServoStatus("elbow_flex", 12.0, 40.0, ("elbow_flex: overload",)))
     assert "elbow_flex: overload" in io.faults()
@@ -781,6 +781,18 @@ def test_a_joint_that_jumps_or_overheats_is_a_fault(io):
     io._update_status(ServoStatus("elbow_flex", 11.0, 41.0, ()))
     assert "elbow_flex: overload" not in io.faults()
     assert (io.read().voltage[2], io.read().temperature[2]) == (11.0, 41.0)
+
+
+def test_the_limit_of_a_servo_counts_where_it_is_below_that_of_the_budget(io):
+    io.drive.temperature_limit = np.array([70.0, 80.0, 55.0, np.inf, 70.0, 70.0])
+    io = ArmIO(io.model, io.drive, Budget())
+    for index, degrees in ((1, 67.0), (2, 52.0), (3, 67.0)):
+        io._store_supply(index, None, degrees)
+    assert not io.faults()
+    ceiling = io.thermal.torque_ceiling() / io._usable
+    assert ceiling == pytest.approx([1.0, 1 / 8, 1 / 8, 1 / 8, 1.0, 1.0])
+    io._store_supply(2, None, 53.0)
+    assert io.faults() == ("elbow_flex is at 53 °C and its limit is 53 °C: let it cool",)
 
 
 def test_the_joint_that_lacks_most_torque_is_warned_of_once():

@@ -231,6 +231,9 @@ class ArmIO:
         self.thermal = budget.thermal_model(self._usable, getattr(drive, "stall_current", None))
         self.positions = PositionFilter(self.joints.max_speeds(model))
         self._limiter = CommandLimiter(
+        # Added to the temperature of a servo that switches off below `budget.hottest` [°C].
+        limit = _per_joint(getattr(drive, "temperature_limit", np.inf), size)
+        self._extra_heat = np.maximum(budget.hottest - limit, 0.0)
             model,
             self.servos,
             self.thermal,
@@ -316,7 +319,7 @@ class ArmIO:
             for i, jump in self.positions.implausible(MAX_JUMPS)
         ]
         if self.thermal.is_too_hot(TOO_HOT):
-            found += thermal_faults(self.thermal, names)
+            found += thermal_faults(self.thermal, names, self._temperature)
         return tuple(found)
 
     def delay(self, now: float) -> float:
@@ -592,7 +595,7 @@ class ArmIO:
         if voltage is not None:
             self._voltage = _with_entry(self._voltage, index, voltage)
         if temperature is not None:
-            self.thermal.set_temperature(index, temperature)
+            self.thermal.set_temperature(index, temperature + self._extra_heat[index])
             self._temperature = _with_entry(self._temperature, index, temperature)
         self._set_supply()
 
