@@ -524,7 +524,7 @@ def quick(monkeypatch, io):
     arm = Arm(io.model, io.drive, watchdog=0.3, rest_q=np.zeros(5), comm_timeout=0.7)
     arm.texts, arm.descents, arm.is_down, arm.error = [], [], True, None
 
-    def descend(io, rest, rate, is_aborted, *, on_tick):
+    def descend(io, rest, rate, is_aborted, *, on_tick, **_):
         arm.descents.append(rest)
         arm._supervisor.heartbeat[0] = 0.0
         on_tick(SimpleNamespace(phase="down"))
@@ -781,6 +781,20 @@ def test_a_joint_that_jumps_or_overheats_is_a_fault(io):
     io._update_status(ServoStatus("elbow_flex", 11.0, 41.0, ()))
     assert "elbow_flex: overload" not in io.faults()
     assert (io.read().voltage[2], io.read().temperature[2]) == (11.0, 41.0)
+
+
+def test_joints_that_may_not_follow_are_silent_alone_hot_or_faulty(io):
+    io.read()
+    io.drive.silent, io.drive.time = {1, 5}, 100.3
+    io.read()
+    assert io.unfit_joints(100.3) == ["shoulder_lift"]
+    assert io.unfit_joints(100.1) == []
+    io.drive.silent = set(range(6))  # the line: the others do not move without them
+    assert io.unfit_joints(200.0) == []
+    io._store_supply(3, None, 68.0)
+    for name in ("elbow_flex", "gripper"):
+        io._update_status(ServoStatus(name, 12.0, 40.0, ("overload",)))
+    assert io.unfit_joints(100.3) == ["shoulder_lift", "elbow_flex", "wrist_flex"]
 
 
 def test_the_limit_of_a_servo_counts_where_it_is_below_that_of_the_budget(io):

@@ -235,6 +235,7 @@ def descend(
     is_aborted: Callable[[], bool],
     *,
     on_tick: Callable[[Lowering], None] | None = None,
+    on_detour: Callable[[str], None] = lambda _: None,
 ) -> bool:
     """Lower the arm until its torque limits are zero, so that torque can be switched off.
 
@@ -244,10 +245,12 @@ def descend(
 
     Args:
         io: Read and write access to the arm.
-        rest: Rest pose to move to first (n,) [rad]; None: straight down.
+        rest: Rest pose to move to first (n,) [rad]; None: straight down. The move ends when a
+            joint is silent or has a fault.
         rate: Rate of the arm's loops [Hz]; the descent uses at least `MIN_RATE`.
         is_aborted: Function that returns True to abort the descent; torque then stays on.
         on_tick: Function to call with the descent in each cycle; None: no call.
+        on_detour: Function to call with the reason if the move to the rest pose is given up.
 
     Returns:
         True if the torque limits are zero; False if the descent was aborted.
@@ -264,7 +267,7 @@ def descend(
         io.set_watchdog(0.0)
     refused = 0
 
-    def resumed(lowering: Lowering) -> Lowering:
+    def resumed(lowering: Lowering, rest: Array | None) -> Lowering:
         """Return a descent that starts from the present goals and limits."""
         to = rest if lowering.phase == "rest" else None
         return Lowering(model, io.servos, io.q, goal=io.goal, limit=io.limit, rest=to)
@@ -278,17 +281,21 @@ def descend(
             ok = io.sample()
             heard = now
             if io.resume_silent():
-                lowering = resumed(lowering)
+                lowering = resumed(lowering, rest)
         except ServoError as error:
             if now - heard > MAX_SILENCE:
                 raise ServoError(
                     "the bus is gone while the arm was being lowered: servos that have power keep "
                     "their last goal and limit; support the arm before you cut the supply"
                 ) from error
+        if lowering.phase == "rest" and (names := io.unfit_joints(now)):
+            # The others would move without it, along another path, which may lead up.
+            on_detour(f"{', '.join(names)} may not follow to the rest pose")
+            rest, lowering = None, resumed(lowering, None)
         order = lowering.step(io.q, ok, dt=now - before, age=io.delay(now))
         if lowering.phase == "ramp" and io.torque_unknown.any():
             _wait_for_silent(io, rate, is_aborted)
-            lowering = resumed(lowering)
+            lowering = resumed(lowering, rest)
             before = deadline = heard = clock.now()
             continue
         if order is None and not io.is_refused():
