@@ -563,6 +563,21 @@ def test_an_arm_goes_through_its_life(quick):
     assert "torque off" in repr(quick)
 
 
+def test_a_fault_that_comes_during_the_descent_is_told_once(quick, monkeypatch):
+    def descend(*_, on_tick, **__):
+        for _ in range(3):
+            on_tick(SimpleNamespace(phase="down"))
+        return True
+
+    monkeypatch.setattr(pliant.arm.arm, "descend", descend)
+    old, hot = "a: too hot", "b is at {} °C and its limit is 68 °C: let it cool"
+    found = [(old,), (old, hot.format(68)), (hot.format(69.5),)]
+    with quick:
+        monkeypatch.setattr(ArmIO, "faults", lambda _: found.pop(0))
+    texts = [text for text, level in quick.texts if level == logging.WARNING]
+    assert texts == [f"so101_like, while it is lowered: {hot.format(68)}"]
+
+
 @pytest.mark.parametrize(
     ("step", "error", "stays"),
     [

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import re
 import time
 from typing import TYPE_CHECKING
 
@@ -63,6 +64,7 @@ class ExitMessages:
         self._detail = logging.INFO if is_real else logging.DEBUG
         self._start_time, self._last_progress = io.clock.now(), time.monotonic()
         self._start_height: float | None = None
+        self._known_faults: set[str] | None = None
 
     def begin(self, *, interrupted: bool = False, abort: str | None = None) -> Message:
         """Send and return the message that the arm is being lowered, and how to abort it.
@@ -94,6 +96,16 @@ class ExitMessages:
                 self._detail,
                 progress=True,
             )
+
+    def faults(self) -> None:
+        """Send a message for each fault that has appeared since the first call."""
+        texts, known = self._io.faults(), self._known_faults
+        if known is None:
+            known = _kinds(texts)
+        self._known_faults = _kinds(texts) | known
+        for text in texts:
+            if not _kinds((text,)) <= known:
+                self._post(f"{self._name}, while it is lowered: {text}", logging.WARNING)
 
     def lowered(self, *, has_signal: bool = False) -> str:
         """Send the message that the arm rests with torque off, and return its text.
@@ -196,6 +208,11 @@ class ExitMessages:
             return "height not known"
         direction = "higher" if drop < -0.5 else "lower"
         return f"tool {abs(drop):.0f} cm {direction}"
+
+
+def _kinds(faults: Sequence[str]) -> set[str]:
+    """Return the texts of faults without their numbers, which change from one to the next."""
+    return {re.sub(r"[\d.]+", "", text) for text in faults}
 
 
 def exit_cause(error: BaseException | None) -> str | None:

@@ -371,6 +371,7 @@ class Arm:
         def on_tick(lowering: Lowering) -> None:
             supervisor.beat()
             messages.progress(lowering)
+            messages.faults()
 
         def on_detour(reason: str) -> None:
             self.detour = reason
