@@ -570,12 +570,12 @@ def test_a_fault_that_comes_during_the_descent_is_told_once(quick, monkeypatch):
         return True
 
     monkeypatch.setattr(pliant.arm.arm, "descend", descend)
-    old, hot = "a: too hot", "b is at {} °C and its limit is 68 °C: let it cool"
-    found = [(old,), (old, hot.format(68)), (hot.format(69.5),)]
+    off, hot = "its torque went off by itself", "b is at {} °C and its limit is 68 °C: let it cool"
+    found = [("a: old",), ("a: old", f"c: {off}", hot.format(68)), (f"d: {off}", hot.format(69.5))]
     with quick:
         monkeypatch.setattr(ArmIO, "faults", lambda _: found.pop(0))
     texts = [text for text, level in quick.texts if level == logging.WARNING]
-    assert texts == [f"so101_like, while it is lowered: {hot.format(68)}"]
+    assert texts == [f"so101_like, while it was lowered: c, d: {off}; {hot.format(68)}"]
 
 
 @pytest.mark.parametrize(

@@ -65,6 +65,8 @@ class ExitMessages:
         self._start_time, self._last_progress = io.clock.now(), time.monotonic()
         self._start_height: float | None = None
         self._known_faults: set[str] | None = None
+        # Beginnings of the texts of new faults, the joints' names, by the remainder of the texts.
+        self._new_faults: dict[str, list[str]] = {}
 
     def begin(self, *, interrupted: bool = False, abort: str | None = None) -> Message:
         """Send and return the message that the arm is being lowered, and how to abort it.
@@ -98,14 +100,15 @@ class ExitMessages:
             )
 
     def faults(self) -> None:
-        """Send a message for each fault that has appeared since the first call."""
+        """Note the faults that have appeared since the first call, for the last message."""
         texts, known = self._io.faults(), self._known_faults
         if known is None:
             known = _kinds(texts)
         self._known_faults = _kinds(texts) | known
         for text in texts:
             if not _kinds((text,)) <= known:
-                self._post(f"{self._name}, while it is lowered: {text}", logging.WARNING)
+                name, _, what = text.partition(": ")
+                self._new_faults.setdefault(what, []).append(name)
 
     def lowered(self, *, has_signal: bool = False) -> str:
         """Send the message that the arm rests with torque off, and return its text.
@@ -169,6 +172,12 @@ class ExitMessages:
         )
 
     def _post(self, text: str, level: int) -> str:
+        """Send a last message, after one with the faults of the descent; return its text."""
+        if self._new_faults:
+            found = [f"{', '.join(names)}: {what}" for what, names in self._new_faults.items()]
+            told = f"{self._name}, while it was lowered: {'; '.join(found)}"
+            MESSAGES.post(told, logging.WARNING)
+            self._new_faults.clear()
         MESSAGES.post(text, level)
         return text
 
