@@ -358,7 +358,8 @@ def _check_state(device: Device, ports: Ports, goal: Sequence[float]) -> Registe
     image = _image(device, ports, *names)
     if device.hardware:
         raise ServoFaultError(
-            "\n".join(device.faults) + f"\nreboot({device.spec.name!r}) clears it"
+            "\n".join(device.faults) + "\nto clear this, switch its supply off and on, or call "
+            f"ServoBus.reboot({device.spec.name!r})"
         )
     if not image["torque_enable"] and (text := device.heat()):
         raise ServoFaultError(f"{device.name}: {text}")
