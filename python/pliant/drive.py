@@ -75,6 +75,7 @@ class Drive(Protocol):
     - `latency`: time from the end of `write` until the servos use the new goals [s];
     - `overload` (N,): share of the usable torque above which a servo's overload protection acts;
     - `stall_current` (N,) [A]: current at stall, needed to keep the supply current below its limit;
+    - `temperature_limit` (N,) [°C]: temperature at which a servo switches off;
     - `enabled` (N,): joints whose torque is on, also if another program switched it on, or unknown;
     - `torque_unknown` (N,): joints whose torque is unknown;
     - `unrestored` (N,): joints that keep torque limits and speeds of this program after `disable`;

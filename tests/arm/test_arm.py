@@ -524,7 +524,7 @@ def quick(monkeypatch, io):
     arm = Arm(io.model, io.drive, watchdog=0.3, rest_q=np.zeros(5), comm_timeout=0.7)
     arm.texts, arm.descents, arm.is_down, arm.error = [], [], True, None
 
-    def descend(io, rest, rate, is_aborted, *, on_tick):
+    def descend(io, rest, rate, is_aborted, *, on_tick, **_):
         arm.descents.append(rest)
         arm._supervisor.heartbeat[0] = 0.0
         on_tick(SimpleNamespace(phase="down"))
@@ -561,6 +561,21 @@ def test_an_arm_goes_through_its_life(quick):
     assert signal.getsignal(signal.SIGINT) == handler
     assert not quick.enabled
     assert "torque off" in repr(quick)
+
+
+def test_a_fault_that_comes_during_the_descent_is_told_once(quick, monkeypatch):
+    def descend(*_, on_tick, **__):
+        for _ in range(3):
+            on_tick(SimpleNamespace(phase="down"))
+        return True
+
+    monkeypatch.setattr(pliant.arm.arm, "descend", descend)
+    off, hot = "its torque went off by itself", "b is at {} °C and its limit is 68 °C: let it cool"
+    found = [("a: old",), ("a: old", f"c: {off}", hot.format(68)), (f"d: {off}", hot.format(69.5))]
+    with quick:
+        monkeypatch.setattr(ArmIO, "faults", lambda _: found.pop(0))
+    texts = [text for text, level in quick.texts if level == logging.WARNING]
+    assert texts == [f"so101_like, while it was lowered: c, d: {off}; {hot.format(68)}"]
 
 
 @pytest.mark.parametrize(
@@ -773,7 +788,7 @@ def test_a_joint_that_jumps_or_overheats_is_a_fault(io):
         io.read()
     (fault,) = io.faults()
     assert fault.startswith("shoulder_lift: its position jumped by")
-    io.thermal.set_temperature(4, 99.0)
+    io._store_supply(4, None, 99.0)
     assert io.faults()[1].startswith("wrist_roll is at 99 °C")
     io._update_status(ServoStatus("elbow_flex", 12.0, 40.0, ("elbow_flex: overload",)))
     assert "elbow_flex: overload" in io.faults()
@@ -781,6 +796,32 @@ def test_a_joint_that_jumps_or_overheats_is_a_fault(io):
     io._update_status(ServoStatus("elbow_flex", 11.0, 41.0, ()))
     assert "elbow_flex: overload" not in io.faults()
     assert (io.read().voltage[2], io.read().temperature[2]) == (11.0, 41.0)
+
+
+def test_joints_that_may_not_follow_are_silent_alone_hot_or_faulty(io):
+    io.read()
+    io.drive.silent, io.drive.time = {1, 5}, 100.3
+    io.read()
+    assert io.unfit_joints(100.3) == ["shoulder_lift"]
+    assert io.unfit_joints(100.1) == []
+    io.drive.silent = set(range(6))  # the line: the others do not move without them
+    assert io.unfit_joints(200.0) == []
+    io._store_supply(3, None, 68.0)
+    for name in ("elbow_flex", "gripper"):
+        io._update_status(ServoStatus(name, 12.0, 40.0, ("overload",)))
+    assert io.unfit_joints(100.3) == ["shoulder_lift", "elbow_flex", "wrist_flex"]
+
+
+def test_the_limit_of_a_servo_counts_where_it_is_below_that_of_the_budget(io):
+    io.drive.temperature_limit = np.array([70.0, 80.0, 55.0, np.inf, 70.0, 70.0])
+    io = ArmIO(io.model, io.drive, Budget())
+    for index, degrees in ((1, 67.0), (2, 52.0), (3, 67.0)):
+        io._store_supply(index, None, degrees)
+    assert not io.faults()
+    ceiling = io.thermal.torque_ceiling() / io._usable
+    assert ceiling == pytest.approx([1.0, 1 / 8, 1 / 8, 1 / 8, 1.0, 1.0])
+    io._store_supply(2, None, 53.0)
+    assert io.faults() == ("elbow_flex is at 53 °C and its limit is 53 °C: let it cool",)
 
 
 def test_the_joint_that_lacks_most_torque_is_warned_of_once():

@@ -24,7 +24,7 @@ def test_full_torque_is_over_after_five_seconds_and_continuous_torque_never():
         it.update(np.array([0.0, 4.0]), 0.01)
     assert it.heat[1] == pytest.approx(1.0)
     assert it.torque_ceiling()[1] == pytest.approx(4.0)
-    assert thermal_faults(it, ("a", "b")) == []
+    assert thermal_faults(it, ("a", "b"), it.temperature) == []
 
 
 def test_a_hot_servo_gets_less_then_none():
@@ -32,7 +32,7 @@ def test_a_hot_servo_gets_less_then_none():
     it.set_temperature(0, 64.0)
     it.set_temperature(1, 69.0)
     assert it.torque_ceiling() == pytest.approx([5.0, 0.0])
-    assert "b is at 69" in thermal_faults(it, ("a", "b"))[0]
+    assert "b is at 69" in thermal_faults(it, ("a", "b"), it.temperature)[0]
 
 
 @pytest.mark.parametrize(
@@ -40,16 +40,23 @@ def test_a_hot_servo_gets_less_then_none():
     [
         (1.2, 59.0, []),
         (1.6, 59.0, ["a is at 160 % of its thermal budget"]),
-        (0.5, 68.0, ["a is at 68 °C and switches off soon"]),
+        (0.5, 68.0, ["a is at 68 °C and its limit is 68 °C"]),
         (0.5, 67.9, []),
-        (1.6, 80.0, ["a is at 160 % of its thermal budget", "a is at 80 °C and switches off soon"]),
+        (
+            1.6,
+            80.0,
+            [
+                "a is at 160 % of its thermal budget",
+                "a is at 80 °C and its limit is 68 °C",
+            ],
+        ),
     ],
 )
 def test_a_servo_beyond_its_budget_is_named_with_the_figure(heat, degrees, expected):
     thermal = SimpleNamespace(
         heat=[heat, 0.0], temperature=[degrees, 20.0], zero_torque_temperature=68.0
     )
-    faults = thermal_faults(thermal, ("a", "b"))
+    faults = thermal_faults(thermal, ("a", "b"), [degrees, 20.0])
     assert [re.split(",|:", fault)[0] for fault in faults] == expected
 
 

@@ -555,9 +555,10 @@ class Descent:
         made: Arguments of each `Lowering` object.
         sent: Time and speed limit of each order.
         answers: Number of `sample` calls after which a silent joint has answered, None: never.
+        unfit: Number of `sample` calls after which a joint may not follow its goals, None: never.
     """
 
-    phase, answers = "down", None
+    phase, answers, unfit = "down", None, None
 
     def __init__(self, monkeypatch, *, orders=10, is_silent=False, is_refused=False, stall=0.0):
         self.time, self.made, self.sent, self.calls, self.samples = 100.0, [], [], [], 0
@@ -599,6 +600,9 @@ class Descent:
 
     def unknown_joints(self):
         return ["elbow"]
+
+    def unfit_joints(self, now):
+        return ["elbow"] if self.samples == self.unfit else []
 
     def delay(self, now):
         return 0.0
@@ -652,6 +656,21 @@ def test_a_descent_whose_goals_are_rejected_starts_again_a_few_times(monkeypatch
     assert len(run.made) == 1 + _shutdown.MAX_RESTARTS
     assert len(run.sent) == 10 * len(run.made)
     assert [made["rest"] for made in run.made] == ["rest"] * 3
+
+
+@pytest.mark.parametrize("phase", ["rest", "down"])
+def test_the_move_to_the_rest_pose_ends_where_a_joint_may_not_follow(monkeypatch, phase):
+    run, reasons = Descent(monkeypatch, is_refused=True), []
+    run.phase, run.unfit = phase, 5
+    with pytest.raises(pliant.ServoFaultError, match="do not take the goals"):
+        descend(run, "rest", 100.0, lambda: False, on_detour=reasons.append)
+    is_ended = phase == "rest"
+    assert reasons == ["elbow may not follow to the rest pose"] * is_ended
+    assert [made["rest"] for made in run.made] == [
+        "rest",
+        *([None] * 3 if is_ended else ["rest"] * 2),
+    ]
+    assert (run.made[1] == {"goal": run.goal, "limit": run.limit, "rest": None}) is is_ended
 
 
 @pytest.mark.parametrize("phase", ["rest", "down", "ramp"])

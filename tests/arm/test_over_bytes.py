@@ -177,6 +177,25 @@ def test_commands_that_come_too_late_are_named_as_the_cause():
         arm.close()
 
 
+def test_a_silent_elbow_does_not_lift_the_arm_on_its_way_down():
+    # The straight line to this rest pose needs the elbow: without it, the tool rose by 17 cm.
+    with arm_over_bytes("sts", HIGH, rest_q=[0.0, -1.74, 1.57, 0.85, 0.0]) as (bus, arm):
+        arm.enable()
+        start, heights, step = bus.plant.tool[2, 3], [], bus.world.physics.step
+
+        def watch(count):
+            step(count)
+            heights.append(bus.plant.tool[2, 3])
+
+        bus.world.physics.step = watch
+        bus.faults.inject("lose", 3, count=100)
+        arm.clock.wait_until(arm.clock.now() + 0.3)
+        arm.lower()
+        assert arm.detour.startswith("elbow_flex may not follow")
+        assert max(heights) < start + 0.02
+        arm.close()
+
+
 @pytest.mark.parametrize(
     ("family", "q"),
     [("x", LOW), *(pytest.param(name, HIGH, marks=pytest.mark.full) for name in FAMILIES)],

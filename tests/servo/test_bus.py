@@ -505,6 +505,36 @@ def test_a_servo_that_restarted_gets_no_more_goals(fake_bus, model, silence):
     assert [bool(device.faults) for device in chain.devices] == [False, silence > 0.1, False]
 
 
+@pytest.mark.parametrize("model", [*SYNC_READ, "MX-64"])
+@pytest.mark.parametrize("has_torque", [True, False])
+def test_a_servo_that_is_silent_gets_no_goal_before_its_torque_is_known(
+    fake_bus, model, has_torque
+):
+    chain = Chain(fake_bus, model, "p2")
+    command = ([0.1] * 3, [0.2] * 3, None, 0.0)
+
+    def goals_and_limits():
+        chain.cycle()
+        for i in (1, 2, 3):
+            chain.put(i, goal=0, limit=0)
+        chain.port.write(command)
+        return [[chain.get(i, name) > 0 for i in (1, 2, 3)] for name in ("goal", "limit")]
+
+    chain.cycle()
+    chain.dead, chain.port._restart = {2}, math.inf
+    assert goals_and_limits() == [[True] * 3] * 2
+    chain.port._restart = 0.1
+    # A restarted servo may hear this goal before it is read: in some models a goal is torque on.
+    assert goals_and_limits() == [[True, False, True], [True] * 3]
+    chain.put(2, torque_enable=has_torque)
+    assert goals_and_limits() == [[True, False, True], [True] * 3]
+    chain.dead = set()
+    for _ in range(8):  # skipped servos are asked in every eighth cycle
+        found = goals_and_limits()
+    assert found == [[True, has_torque, True]] * 2
+    assert chain.devices[1].enabled is has_torque
+
+
 def test_an_armed_watchdog_that_tripped_in_a_silence_is_armed_again(fake_bus):
     chain = Chain(fake_bus, "XM430-W350", "p2")
     chain.cycle()

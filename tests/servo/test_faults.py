@@ -180,7 +180,7 @@ def test_a_latched_servo_is_not_enabled_and_reboot_clears_it(emulated, enabled):
         enabled(servo_bus)
         bus.trip(1, "overload")
         servo_bus.read()
-        with pytest.raises(ServoFaultError, match=r"reboot\('joint0'\) clears it"):
+        with pytest.raises(ServoFaultError, match=r"off and on, .*ServoBus\.reboot\('joint0'\)"):
             enabled(servo_bus)
     with emulated("xm", 1) as (bus, servo_bus):  # a servo takes real time to boot
         enabled(servo_bus)
@@ -189,6 +189,24 @@ def test_a_latched_servo_is_not_enabled_and_reboot_clears_it(emulated, enabled):
         assert not servo_bus.enabled.any()
         enabled(servo_bus)
         assert servo_bus.enabled.all()
+
+
+@pytest.mark.parametrize("kind", PROTOCOLS)
+def test_a_servo_that_is_about_to_switch_off_gets_no_torque(emulated, enabled, kind):
+    with emulated(kind, 2, clock="steps") as (bus, servo_bus):
+        servo = bus.servo(2)
+        limit = servo.get("temperature_limit")
+        assert servo_bus.temperature_limit.tolist() == [limit] * 2
+        servo.temperature = limit - 2.0
+        message = f"joint1: it is at {limit - 2} °C and switches off at {limit}: let it cool"
+        with pytest.raises(ServoFaultError, match=message):
+            enabled(servo_bus)
+        assert not bus.log.goals_while_disabled()
+        assert [message[8:] in str(info.notes) for info in servo_bus.identify()] == [False, True]
+        servo.temperature = limit - 3.0
+        enabled(servo_bus)
+        servo.temperature = limit - 1.0
+        enabled(servo_bus)  # a servo with torque is taken over
 
 
 @pytest.mark.parametrize("kind", ["xm", "xl430", "mx", "ex"])

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import re
+import threading
+import time
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -12,6 +14,10 @@ import numpy as np
 import pytest
 import viser
 import viser.transforms as tf
+import websockets.asyncio.server
+from msgspec import msgpack
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
 
 from pliant.view import html, messages
 from pliant.view.page import Page
@@ -309,3 +315,63 @@ def test_only_the_tab_that_holds_the_arm_lets_go_when_it_closes(page):
         closing._on_disconnect(SimpleNamespace(client_id=closed_tab))
         assert page.messages == notice
     page.scene_view.held_by = None
+
+
+@pytest.fixture
+def served(monkeypatch, recording):
+    """Return a page with a scene, and its messages."""
+    serve = websockets.asyncio.server.serve
+    monkeypatch.setattr(websockets.asyncio.server, "serve", serve)  # undo what the page replaces
+    sent = []
+    page = Page(sent.append, "127.0.0.1", 8260)
+    page.receive(recording.info)
+    yield page, sent
+    page.server.stop()
+
+
+#: First message of a browser, after which viser counts it as connected.
+CAMERA = {
+    "type": "ViewerCameraMessage",
+    **dict.fromkeys(("fov", "near", "far"), 1.0),
+    **dict.fromkeys(("image_height", "image_width"), 9),
+    **dict.fromkeys(("position", "look_at", "up_direction"), (0.0, 0.0, 1.0)),
+    "wxyz": (1.0, 0.0, 0.0, 0.0),
+}
+
+
+def test_a_browser_sets_values_of_controls_only(served):
+    page, sent = served
+    origin, _, token = page.link.partition("/#token=")
+    protocol = f"viser-v{viser.__version__}"
+    with connect(
+        f"{origin.replace('http', 'ws')}/?token={token}", origin=origin, subprotocols=[protocol]
+    ) as browser:
+        stop = page.panel.stop.stop
+        browser.send(msgpack.encode(CAMERA))
+        for updates in ({"removed": True}, {"disabled": True, "value": True}, {"value": True}):
+            message = {"type": "GuiUpdateMessage", "uuid": stop._impl.uuid, "updates": updates}
+            browser.send(msgpack.encode(message))
+        deadline = time.monotonic() + 20.0
+        while not sent and time.monotonic() < deadline:
+            time.sleep(0.01)
+        assert sent == [messages.Stop()]
+        assert [stop._impl.removed, stop.disabled] == [False, False]
+        browser.send(bytes(100_000))
+        with pytest.raises(ConnectionClosed, match="1009"):
+            list(browser)
+
+
+def test_the_page_is_shown_in_the_thread_that_wakes_its_connections(served, recording, monkeypatch):
+    page, _ = served
+    threads = []
+    monkeypatch.setattr(page.panel, "show", lambda _: threads.append(threading.get_ident()))
+    asyncio.run_coroutine_threadsafe(
+        asyncio.to_thread(page.receive, recording.running[0]), page.server.get_event_loop()
+    ).result()
+    page.receive(recording.running[0])
+    loop = asyncio.run_coroutine_threadsafe(ident(), page.server.get_event_loop()).result()
+    assert threads == [loop] * 2
+
+
+async def ident():
+    return threading.get_ident()

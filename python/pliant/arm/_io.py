@@ -203,6 +203,8 @@ class LowTorqueWarning:
 #: and after a time without commands [s].
 RAMP_TIME = 0.5
 
+#: Time without a position after which a joint counts as silent [s].
+SILENCE = 0.2
 #: Number of reads in which the joints of an ended program should answer at least once.
 RESUME_READS = 5
 
@@ -229,6 +231,9 @@ class ArmIO:
             _per_joint(drive.servos.max_torque, size),
         )
         self.thermal = budget.thermal_model(self._usable, getattr(drive, "stall_current", None))
+        # Added to the temperature of a servo that switches off below `budget.hottest` [°C].
+        limit = _per_joint(getattr(drive, "temperature_limit", np.inf), size)
+        self._extra_heat = np.maximum(budget.hottest - limit, 0.0)
         self.positions = PositionFilter(self.joints.max_speeds(model))
         self._limiter = CommandLimiter(
             model,
@@ -316,8 +321,24 @@ class ArmIO:
             for i, jump in self.positions.implausible(MAX_JUMPS)
         ]
         if self.thermal.is_too_hot(TOO_HOT):
-            found += thermal_faults(self.thermal, names)
+            found += thermal_faults(self.thermal, names, self._temperature)
         return tuple(found)
+
+    def unfit_joints(self, now: float) -> list[str]:
+        """Return the names of the joints of the chain that may not follow their goals.
+
+        They are silent while others answer, or have a fault or a temperature that leaves them
+        little torque or none.
+        """
+        is_silent = now - self.positions.time > SILENCE
+        has_fault = self.thermal.temperature >= self.thermal.zero_torque_temperature
+        if is_silent[self.joints.chain].all():
+            is_silent[:] = False
+        return [
+            name
+            for i, name in enumerate(self.joints.names)
+            if i in self.joints.chain and (is_silent[i] or has_fault[i] or name in self._reported)
+        ]
 
     def delay(self, now: float) -> float:
         """Return the age of the newest position at time `now` [s], plus the drive's latency [s]."""
@@ -592,7 +613,7 @@ class ArmIO:
         if voltage is not None:
             self._voltage = _with_entry(self._voltage, index, voltage)
         if temperature is not None:
-            self.thermal.set_temperature(index, temperature)
+            self.thermal.set_temperature(index, temperature + self._extra_heat[index])
             self._temperature = _with_entry(self._temperature, index, temperature)
         self._set_supply()
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import re
 import time
 from typing import TYPE_CHECKING
 
@@ -63,6 +64,9 @@ class ExitMessages:
         self._detail = logging.INFO if is_real else logging.DEBUG
         self._start_time, self._last_progress = io.clock.now(), time.monotonic()
         self._start_height: float | None = None
+        self._known_faults: set[str] | None = None
+        # Beginnings of the texts of new faults, the joints' names, by the remainder of the texts.
+        self._new_faults: dict[str, list[str]] = {}
 
     def begin(self, *, interrupted: bool = False, abort: str | None = None) -> Message:
         """Send and return the message that the arm is being lowered, and how to abort it.
@@ -102,6 +106,17 @@ class ExitMessages:
                 self._detail,
                 progress=True,
             )
+
+    def faults(self) -> None:
+        """Note the faults that have appeared since the first call, for the last message."""
+        texts, known = self._io.faults(), self._known_faults
+        if known is None:
+            known = _kinds(texts)
+        self._known_faults = _kinds(texts) | known
+        for text in texts:
+            if not _kinds((text,)) <= known:
+                name, _, what = text.partition(": ")
+                self._new_faults.setdefault(what, []).append(name)
 
     def lowered(self, *, has_signal: bool = False) -> str:
         """Send the message that the arm rests with torque off, and return its text.
@@ -165,6 +180,12 @@ class ExitMessages:
         )
 
     def _post(self, text: str, level: int) -> str:
+        """Send a last message, after one with the faults of the descent; return its text."""
+        if self._new_faults:
+            found = [f"{', '.join(names)}: {what}" for what, names in self._new_faults.items()]
+            told = f"{self._name}, while it was lowered: {'; '.join(found)}"
+            MESSAGES.post(told, logging.WARNING)
+            self._new_faults.clear()
         MESSAGES.post(text, level)
         return text
 
@@ -206,6 +227,11 @@ class ExitMessages:
         return f"tool {abs(drop):.0f} cm {direction}"
 
 
+def _kinds(faults: Sequence[str]) -> set[str]:
+    """Return the texts of faults without their numbers, which change from one to the next."""
+    return {re.sub(r"[\d.]+", "", text) for text in faults}
+
+
 def exit_cause(error: BaseException | None) -> str | None:
     """Return the reason for a shutdown that the exception `error` caused; None if it is planned."""
     if error is None or isinstance(error, GeneratorExit):
@@ -243,6 +269,7 @@ def descend(
     is_aborted: Callable[[], bool],
     *,
     on_tick: Callable[[Lowering], None] | None = None,
+    on_detour: Callable[[str], None] = lambda _: None,
 ) -> bool:
     """Lower the arm until its torque limits are zero, so that torque can be switched off.
 
@@ -252,10 +279,12 @@ def descend(
 
     Args:
         io: Read and write access to the arm.
-        rest: Rest pose to move to first (n,) [rad]; None: straight down.
+        rest: Rest pose to move to first (n,) [rad]; None: straight down. The move ends when a
+            joint is silent or has a fault.
         rate: Rate of the arm's loops [Hz]; the descent uses at least `MIN_RATE`.
         is_aborted: Function that returns True to abort the descent; torque then stays on.
         on_tick: Function to call with the descent in each cycle; None: no call.
+        on_detour: Function to call with the reason if the move to the rest pose is given up.
 
     Returns:
         True if the torque limits are zero; False if the descent was aborted.
@@ -272,7 +301,7 @@ def descend(
         io.set_watchdog(0.0)
     refused = 0
 
-    def resumed(lowering: Lowering) -> Lowering:
+    def resumed(lowering: Lowering, rest: Array | None) -> Lowering:
         """Return a descent that starts from the present goals and limits."""
         to = rest if lowering.phase == "rest" else None
         return Lowering(model, io.servos, io.q, goal=io.goal, limit=io.limit, rest=to)
@@ -286,17 +315,21 @@ def descend(
             ok = io.sample()
             heard = now
             if io.resume_silent():
-                lowering = resumed(lowering)
+                lowering = resumed(lowering, rest)
         except ServoError as error:
             if now - heard > MAX_SILENCE:
                 raise ServoError(
                     "the bus is gone while the arm was being lowered: servos that have power keep "
                     "their last goal and limit; support the arm before you cut the supply"
                 ) from error
+        if lowering.phase == "rest" and (names := io.unfit_joints(now)):
+            # The others would move without it, along another path, which may lead up.
+            on_detour(f"{', '.join(names)} may not follow to the rest pose")
+            rest, lowering = None, resumed(lowering, None)
         order = lowering.step(io.q, ok, dt=now - before, age=io.delay(now))
         if lowering.phase == "ramp" and io.torque_unknown.any():
             _wait_for_silent(io, rate, is_aborted)
-            lowering = resumed(lowering)
+            lowering = resumed(lowering, rest)
             before = deadline = heard = clock.now()
             continue
         if order is None and not io.is_refused():

@@ -90,7 +90,8 @@ class Arm:
     Attributes:
         model: The robot, with the servo parameters of the drive.
         drive, rate, rest_q, comm_timeout, table: The arguments of the same names.
-        detour: Reason why the last lowering skipped the rest pose; None if it did not.
+        detour: Reason why the last lowering skipped the rest pose or gave it up; None if it did
+            not.
         servos: Servo parameters of the chain, n entries; updated when the drive opens.
         grippers: Grippers by joint name; created again when the drive opens.
         leads: Goal minus position that carried each joint at torque on (n,) [rad]; NaN for a joint
@@ -376,10 +377,15 @@ class Arm:
         def on_tick(lowering: Lowering) -> None:
             supervisor.beat()
             messages.progress(lowering)
+            messages.faults()
+
+        def on_detour(reason: str) -> None:
+            self.detour = reason
+            MESSAGES.post(f"{reason}: the arm is lowered straight down")
 
         rest = self._reachable(rest)
         if self.detour is not None:
-            MESSAGES.post(f"{self.detour}: the arm is lowered straight down")
+            on_detour(self.detour)
         try:
             down = descend(
                 self._io,
@@ -387,6 +393,7 @@ class Arm:
                 self.rate,
                 supervisor.abort.is_set,
                 on_tick=on_tick,
+                on_detour=on_detour,
             )
             # Torque off may take longer on a bad line.
             supervisor.heartbeat[1] = 0.0

@@ -26,7 +26,8 @@ class Budget:
         seconds: Thermal time constant of a servo's winding [s]. At full torque the budget is used
             up after ``−seconds ln(1 − continuous²)``: 5.2 s by default.
         supply: Largest current of the power supply [A]; None: no limit.
-        hottest: Temperature at which the servos switch off [°C].
+        hottest: Highest temperature of the servos [°C]. For a servo whose own limit is known and
+            lower, that one counts.
     """
 
     continuous: float = 0.4
@@ -58,20 +59,28 @@ class Budget:
         )
 
 
-def thermal_faults(thermal: ThermalModel, names: tuple[str, ...]) -> list[str]:
-    """Return a sentence for each servo that exceeds its thermal budget or is about to switch off.
+def thermal_faults(
+    thermal: ThermalModel, names: tuple[str, ...], temperature: ArrayLike
+) -> list[str]:
+    """Return a sentence for each servo that exceeds its thermal budget or temperature.
 
     Args:
         thermal: Thermal model of the N servos.
         names: Joint names (N,).
+        temperature: Measured temperatures (N,) [°C]; those of the model are higher for servos
+            with a lower limit.
     """
     faults = []
-    for name, heat, degrees in zip(names, thermal.heat, thermal.temperature, strict=True):
+    limits = thermal.zero_torque_temperature + np.subtract(temperature, thermal.temperature)
+    rows = zip(names, thermal.heat, np.asarray(temperature), limits, strict=True)
+    for name, heat, degrees, limit in rows:
         if heat > TOO_HOT:
             faults.append(
                 f"{name} is at {100 * heat:.0f} % of its thermal budget, as it holds the arm up: "
                 "choose a pose that needs less torque there"
             )
-        if degrees >= thermal.zero_torque_temperature:
-            faults.append(f"{name} is at {degrees:.0f} °C and switches off soon: let it cool")
+        if degrees >= limit:
+            faults.append(
+                f"{name} is at {degrees:.0f} °C and its limit is {limit:.0f} °C: let it cool"
+            )
     return faults

@@ -21,6 +21,9 @@ if TYPE_CHECKING:
     #: Result of `ServoCodec.sent`.
     Sent = tuple[int | None, int, int, bytes]
 
+#: Difference between the temperature limit of a servo and the temperature from which on its torque
+#: is not switched on [°C].
+HEAT_MARGIN = 2.0
 #: Longest undervoltage that is not reported as a fault [s].
 UNDERVOLTAGE_GRACE = 0.5
 #: Time [s] and number of write packets for which the goal or limit register must differ from the
@@ -81,6 +84,7 @@ class Device:
         gain: Gain register of the position loop, as read.
         low, high: Range of goals [counts].
         min_voltage: Lowest supply voltage at which the servo can be driven [V].
+        temperature_limit: Temperature at which the servo switches off [°C].
         alerts: Number of replies in which an error bit of the status byte appeared.
         multi_turn: True if goals may exceed one turn.
         overload: Share of the full torque above which overload protection acts; None: never.
@@ -126,6 +130,7 @@ class Device:
         self.multi_turn = self.family.multi_turn
         self.overload: float | None = self.row.overload
         self.min_voltage, self._last_good_voltage = 0.0, 0.0
+        self.temperature_limit = inf
         self.alerts = 0
         self._enabled = self.torque_on = self.torque_unknown = False
         self.is_unrestored = False
@@ -393,6 +398,16 @@ class Device:
         """Store the value of the hardware error register (Protocol 2.0)."""
         self.hardware = status.hardware(value & ~self.harmless)
         self.has_harmless_error = bool(value) and not self.hardware
+
+    def heat(self) -> str:
+        """Return a text if the servo is about to switch off or has done so, else an empty one."""
+        temperature = self.temperature
+        if temperature is None or temperature < self.temperature_limit - HEAT_MARGIN:
+            return ""
+        return (
+            f"it is at {temperature:.0f} °C and switches off at {self.temperature_limit:.0f}: "
+            "let it cool before its torque comes on"
+        )
 
     @property
     def is_refusing(self) -> bool:

@@ -38,7 +38,7 @@ REBOOT = 2.0
 #: `ServoBus.reopen` gives up silent servos when no further servo has answered for this time [s].
 RESUME_TIME = 3.0
 #: Registers that are read and checked before torque is switched on.
-_CHECKED = ("torque_enable", "position", "hardware_error", "watchdog", "voltage")
+_CHECKED = ("torque_enable", "position", "hardware_error", "watchdog", "voltage", "temperature")
 #: Registers of the first command, in the order of `FirstCommand`.
 _COMMANDED = ("goal", "limit", "speed_cap")
 #: Registers of a servo that an ended program has left.
@@ -351,14 +351,18 @@ def _check_state(device: Device, ports: Ports, goal: Sequence[float]) -> Registe
     """Check that the torque of a servo may be switched on; return its present registers.
 
     Raises:
-        ServoError: The servo has a fault, or its position differs from `goal` or is out of range.
+        ServoError: The servo has a fault or is too hot, or its position differs from `goal` or is
+            out of range.
     """
     names = [name for name in _CHECKED if name in device.family.registers]
     image = _image(device, ports, *names)
     if device.hardware:
         raise ServoFaultError(
-            "\n".join(device.faults) + f"\nreboot({device.spec.name!r}) clears it"
+            "\n".join(device.faults) + "\nto clear this, switch its supply off and on, or call "
+            f"ServoBus.reboot({device.spec.name!r})"
         )
+    if not image["torque_enable"] and (text := device.heat()):
+        raise ServoFaultError(f"{device.name}: {text}")
     if device.position is None:
         raise ServoError(f"{device.name} has not been read yet")
     start = device.angle(device.position)

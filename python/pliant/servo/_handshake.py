@@ -340,6 +340,7 @@ def _store_registers(device: Device, image: RegisterImage) -> ServoInfo:
     device.min_voltage, _ = _supply(device, image)
     device.set_voltage(image["voltage"] / 10.0, image.time)
     device.temperature = float(image["temperature"])
+    device.temperature_limit = float(image["temperature_limit"])
     device.multi_turn = family.multi_turn or (family.status == "p2" and image["mode"] == 4)
     low, high = image["position_min"], image["position_max"]
     has_range = not device.multi_turn and low < high
@@ -352,6 +353,8 @@ def _store_registers(device: Device, image: RegisterImage) -> ServoInfo:
     if "hardware_error" in image:
         device.note_hardware_error(image["hardware_error"])
     notes = _calibration_notes(device)
+    if text := device.heat():
+        notes.append(text)
     if device.torque_on:
         notes.append(
             "its torque is on already: another program may be using the arm, or has left it up. "

@@ -130,7 +130,7 @@ class Port:
             unused_id=max(set(range(self.highest + 1)) - ids),
             sample_clock=clock,
         )
-        self._baudrate, self._cycle = baudrate, cycle
+        self._baudrate, self._cycle, self._clock = baudrate, cycle, clock
         self._restart = max(RESTART, RESTART_CYCLES * cycle)
         self.watchdog = 0
         self._is_armed = False
@@ -143,9 +143,11 @@ class Port:
         has_one = first.sync_read and first.is_plain and first.read_with_status and not others
         self._only_group = first if has_one else None
         self._changes, self._seen = self.devices[0].changes, -1
-        # Groups of the servos with torque on, and True if these are all servos.
+        # Groups of the servos that get commands, and True if these are all servos.
         self._write_groups: list[Group] = []
         self._drives_all = False
+        # Servos with torque on that get no goals, because they are silent.
+        self._withheld: list[Device] = []
 
     @property
     def responsive(self) -> list[Device]:
@@ -238,9 +240,9 @@ class Port:
         silent = [d for d, r in replies if d.enabled and r.time - d.time > self._restart]
         unknown = self._check_restart(silent) if silent else set()
         for device, reply in replies:
-            self._misses.pop(device.id, None)
             if device.id in unknown:
                 continue
+            self._misses.pop(device.id, None)
             if device.accept(reply):
                 accepted.append(device.index)
             else:
@@ -353,17 +355,19 @@ class Port:
         """Send goal, limit and speed cap registers to the servos with torque on.
 
         There is one packet per kind of servo and block of registers. The values for servos without
-        torque are checked too.
+        torque are checked too. A servo that is silent while others answer gets its limit only: it
+        may have restarted, and in some models a goal switches torque on.
 
         Raises:
             ShapeError, OutOfRangeError: See `ServoCodec.encode`; nothing was sent.
             BusError: A packet could not be sent.
         """
-        if self._seen != self._changes.torque:
-            self._seen = self._changes.torque
-            enabled = [device for device in self.devices if device.enabled]
-            self._drives_all = len(enabled) == len(self.devices)
-            self._write_groups = write_groups(enabled, self._serial)
+        silent = self._silent_devices() if self._misses else []
+        if self._seen != self._changes.torque or silent != self._withheld:
+            self._seen, self._withheld = self._changes.torque, silent
+            driven = [device for device in self.devices if device.enabled and device not in silent]
+            self._drives_all = len(driven) == len(self.devices)
+            self._write_groups = write_groups(driven, self._serial)
         if not self._drives_all:
             self.devices[0].codec.encode([], *command)
         for group in self._write_groups:
@@ -372,6 +376,16 @@ class Port:
             else:
                 goals, limits, _, *data = group.devices[0].codec.encode(group.indices, *command)
                 self.send(group, goals, limits, data)
+        for device in silent:
+            _, (limit,), *_ = device.codec.encode([device.index], *command)
+            register = device.family.registers["limit"]
+            self.guard.sync_write([device.id], register.address, [register.encode(limit)])
+            device.record_sent(device.goal, limit)
+
+    def _silent_devices(self) -> list[Device]:
+        """Return the servos with torque on that are silent for so long that they may restart."""
+        oldest = self._clock() - self._restart
+        return [d for d in self.devices if d.enabled and d.id in self._misses and d.time < oldest]
 
     def send(
         self, group: Group, goals: Sequence[int], limits: Sequence[int], data: Sequence[list[bytes]]

@@ -331,6 +331,11 @@ class ServoBus:
         return np.array(shares)
 
     @property
+    def temperature_limit(self) -> Array:
+        """Temperatures (n,) at which the servos switch off [°C], as read at open; inf before."""
+        return np.array([min(d.temperature_limit for d in joint) for joint in self._joints])
+
+    @property
     def stall_current(self) -> Array:
         """Current at the stall torque (n,) [A]; NaN if the data sheet gives none."""
         return np.array([s.row.stall_current * len(s.servos) for s in self.specs])

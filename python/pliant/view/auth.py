@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 
 #: Number of random bytes in the token, before it is encoded as text.
 TOKEN_BYTES = 24
+#: Largest message that a browser may send [bytes]; those of the page have less than 1000.
+MAX_MESSAGE = 65_536
 #: Text of the response to every rejected request.
 REFUSAL = "This page moves a robot: open it by the link that `pliant view` prints on its terminal."
 #: HTML file of the browser page that viser serves; the file contains its scripts and styles.
@@ -111,6 +113,8 @@ class TokenAuth:
     def install(self) -> None:
         """Install this check in every `websockets` server that the process starts from now on.
 
+        A message of more than `MAX_MESSAGE` bytes closes its web socket.
+
         viser has no hook for requests, so this method replaces the function with which viser starts
         its server. Other versions of viser may not use that function, so the package requires
         `viser<1.2`.
@@ -122,7 +126,8 @@ class TokenAuth:
             def process(_: ServerConnection, request: Request) -> Response | None:
                 return self.respond(request)
 
-            return original(*args, process_request=process, **options)
+            limits = {"max_size": MAX_MESSAGE, "process_request": process}
+            return original(*args, **{**options, **limits})
 
         # Raise the log level: at lower ones, a malformed request (a port scan) prints a traceback.
         logging.getLogger("websockets.server").setLevel(logging.CRITICAL)

@@ -5,12 +5,14 @@
 
 from __future__ import annotations
 
+import asyncio
 import socket
 import sys
 import time
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import viser
+from viser._messages import GuiUpdateMessage
 
 from pliant._priority import lower_priority
 from pliant.view.auth import TokenAuth
@@ -57,6 +59,21 @@ class Page:
             show_logo=False, show_share_button=False, brand_color=(28, 100, 200)
         )
         self.server.on_client_disconnect(self._on_disconnect)
+        self._protect_controls()
+
+    def _protect_controls(self) -> None:
+        """Let a browser change the value of a control only.
+
+        viser lets it set every attribute: one that removes the STOP button ends the page.
+        """
+        change, interface = self.server.gui._handle_gui_updates, self.server._websock_server
+
+        async def change_value(client: Any, message: GuiUpdateMessage) -> None:
+            if message.updates.keys() == {"value"}:
+                await change(client, message)
+
+        interface.unregister_handler(GuiUpdateMessage, change)
+        interface.register_handler(GuiUpdateMessage, change_value)
 
     def _on_disconnect(self, client: viser.ClientHandle) -> None:
         """Release the arm if the disconnected client was dragging it; a push ends by itself."""
@@ -64,7 +81,19 @@ class Page:
             self._send(LetGo())
 
     def receive(self, message: SceneInfo | Snapshot) -> None:
-        """Build the page for a new scene (`SceneInfo`), or show a snapshot of the arm."""
+        """Build the page for a new scene (`SceneInfo`), or show a snapshot of the arm.
+
+        This happens in the thread of viser's event loop: from another thread, viser wakes the tasks
+        of its connections unsafely, which fails at times, more often with several tabs.
+        """
+
+        async def show() -> None:
+            self._show(message)
+
+        loop = self.server.get_event_loop()
+        asyncio.run_coroutine_threadsafe(show(), loop).result()
+
+    def _show(self, message: SceneInfo | Snapshot) -> None:
         if isinstance(message, SceneInfo):
             self.scene_view = SceneView(self.server, message, self._send)
             self.panel = Panel(self.server, message, self._send)
