@@ -650,4 +650,7 @@ class ServoBus:
 
     def _check_open(self) -> None:
         if not self._ports:
-            raise ServoError("the chain is not open: call open() first")
+            raise ServoError(
+                "the bus is not open: use the arm or the bus in a `with` statement, or call open() "
+                "first"
+            )
