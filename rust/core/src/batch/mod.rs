@@ -11,7 +11,7 @@ use crate::MAX_AXES;
 use crate::batch::state::{RowStatus, row_len};
 use crate::error::{Error, Result};
 use crate::kinematics::velocity_filter::SPEED_BOUND;
-use crate::math::simd::{Isa, JointVector, Kernel, LANES, SimdLevel, flush_subnormals};
+use crate::math::simd::{BaselineF64, BaselineF64x8, JointVector, LANES, flush_subnormals};
 use crate::math::thread_pool::install;
 use crate::model::Model;
 use crate::params::{Params, RowAxes, Settings};
@@ -81,7 +81,6 @@ pub(crate) struct Batch<'a> {
     pub(crate) model: &'a Model,
     pub(crate) params: &'a Params,
     pub(crate) settings: &'a Settings,
-    pub(crate) simd_level: SimdLevel,
 }
 
 /// Input of one arm of a batch. Positions, target and velocity are unchecked: the step checks them.
@@ -91,29 +90,6 @@ pub(crate) struct ArmInput<'a> {
     pub(crate) target: Pose,
     pub(crate) dq: Option<&'a [f64]>,
     pub(crate) axes: RowAxes<'a>,
-}
-
-/// True if positions and targets of all arms in `rows` are valid. For arms of at most [`LANES`] joints.
-struct AreRowsValid<'a, 'b> {
-    batch: &'b Batch<'a>,
-    rows: Range<usize>,
-}
-
-impl Kernel for AreRowsValid<'_, '_> {
-    type Output = bool;
-
-    #[inline(always)]
-    fn run<M: Isa>(self) -> bool {
-        let Batch { input, params, .. } = *self.batch;
-        for row in self.rows {
-            let q = flush_subnormals(M::F64x8::load_slice(&input.q[row * params.n..][..params.n]));
-            let Some(target) = self.batch.target(row) else { return false };
-            if !params.is_plausible(q) || target.is_invalid::<M::Elem>(&params.target_region) {
-                return false;
-            }
-        }
-        true
-    }
 }
 
 impl<'a> BatchInput<'a> {
@@ -182,9 +158,20 @@ impl<'a> Batch<'a> {
         let (n, input) = (self.model.n(), self.input);
         let has_more = input.dq.is_some() || input.caps.is_some() || input.adaptation.is_some();
         n <= LANES
-            && self.simd_level.dispatch_narrow(AreRowsValid { batch: self, rows: rows.clone() })
+            && rows.clone().all(|row| self.has_valid_pose(row))
             && states.chunks_exact(row_len(n)).all(|state| !matches!(RowStatus::of(state, n), RowStatus::Reset(_)))
             && !(has_more && rows.into_iter().any(|row| self.check_optional(row).is_err()))
+    }
+
+    /// Returns true if positions and target of arm `row` are valid; for arms of at most [`LANES`] joints. Compiled for the
+    /// plain instruction set only, because other sets gain little.
+    #[inline(always)]
+    fn has_valid_pose(&self, row: usize) -> bool {
+        let n = self.model.n();
+        let q = flush_subnormals(BaselineF64x8::load_slice(&self.input.q[row * n..][..n]));
+        let target = self.target(row);
+        let region = &self.params.target_region;
+        self.params.is_plausible(q) && target.is_some_and(|target| !target.is_invalid::<BaselineF64>(region))
     }
 
     /// Checks the input of arm `row` and, if it has one, its state.

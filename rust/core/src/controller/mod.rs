@@ -640,7 +640,7 @@ impl Controller {
 
     /// Returns the batch of `input` with model, parameters and settings of this controller.
     fn batch<'a>(&'a self, input: &'a BatchInput<'a>) -> Batch<'a> {
-        Batch { input, model: &self.model, params: &self.params, settings: &self.settings, simd_level: self.simd_level }
+        Batch { input, model: &self.model, params: &self.params, settings: &self.settings }
     }
 
     /// Resets the state to that before the first step of an arm of a batch without a state; returns false if its
