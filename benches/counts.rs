@@ -175,6 +175,9 @@ fn stages() -> Vec<(String, Work)> {
             steps.push((format!("step {law}, {option}"), settings, states.clone()));
         }
     }
+    let defaults = Settings::paper();
+    let defaults = Settings { tracking: defaults.tracking, null_space: defaults.null_space, ..paper() };
+    steps.push(("step paper, default damping and projector".into(), defaults, states.clone()));
     // Without a gradient, the null-space column holds the row norms of the projector.
     let waiting = Settings { null_space: NullSpace { limit_avoidance: 0.0, ..paper().null_space }, ..paper() };
     steps.push(("step paper, as it started".into(), waiting, vec![states[0].clone(); STATES]));

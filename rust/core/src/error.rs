@@ -116,6 +116,13 @@ impl Error {
         Self::Config { key: key.into(), message: message.into() }
     }
 
+    /// Creates the [`Error::Config`] of a step that rejects its own command.
+    #[cold]
+    #[inline(never)]
+    pub(crate) fn command_not_finite() -> Self {
+        Self::config("step", "the command is not finite for this q, target and settings: nothing was sent")
+    }
+
     /// Adds the prefix `batch[row]` to the quantity or setting; leaves other variants unchanged.
     #[cold]
     #[inline(never)]

@@ -89,23 +89,29 @@ impl Pose {
     /// # Errors
     /// As [`Pose::from_rows`].
     pub fn from_rows_of(name: &str, m: &[[f64; 4]; 4]) -> Result<Self> {
-        let pose = Self::from_unchecked_rows(name, m)?;
+        let Some(pose) = m.as_flattened().first_chunk().and_then(Self::from_unchecked_matrix) else {
+            return Err(Self::no_homogeneous_matrix(name, m[3]));
+        };
         pose.check(name)?;
         Ok(pose)
     }
 
-    /// Creates a pose as [`Pose::from_rows_of`], but checks the last row only.
-    pub(crate) fn from_unchecked_rows(name: &str, m: &[[f64; 4]; 4]) -> Result<Self> {
-        if !(m[3][0].abs() < 1e-9 && m[3][1].abs() < 1e-9 && m[3][2].abs() < 1e-9 && (m[3][3] - 1.0).abs() < 1e-9) {
-            return Err(Error::config(
-                name,
-                format!("last row of a 4×4 pose must be 0 0 0 1, got {} {} {} {}", m[3][0], m[3][1], m[3][2], m[3][3]),
-            ));
+    /// Returns the error for a matrix with this last row.
+    #[cold]
+    #[inline(never)]
+    pub(crate) fn no_homogeneous_matrix(name: &str, [x, y, z, w]: [f64; 4]) -> Error {
+        Error::config(name, format!("last row of a 4×4 pose must be 0 0 0 1, got {x} {y} {z} {w}"))
+    }
+
+    /// Creates a pose from a homogeneous matrix, row-major; `None` if the last row is not `0 0 0 1`. The other rows are
+    /// unchecked.
+    #[inline(always)]
+    pub(crate) fn from_unchecked_matrix(m: &[f64; 16]) -> Option<Self> {
+        if !(m[12].abs() < 1e-9 && m[13].abs() < 1e-9 && m[14].abs() < 1e-9 && (m[15] - 1.0).abs() < 1e-9) {
+            return None;
         }
-        Ok(Self {
-            rotation: [[m[0][0], m[0][1], m[0][2]], [m[1][0], m[1][1], m[1][2]], [m[2][0], m[2][1], m[2][2]]],
-            position: [m[0][3], m[1][3], m[2][3]],
-        })
+        let rotation = [[m[0], m[1], m[2]], [m[4], m[5], m[6]], [m[8], m[9], m[10]]];
+        Some(Self { rotation, position: [m[3], m[7], m[11]] })
     }
 
     /// Returns the homogeneous 4×4 matrix, row-major.

@@ -2,7 +2,9 @@
 
 use std::sync::Arc;
 
-use pliant_core::params::{Axis, CompliantSide, Damping, Follow, Law, NullSpace, PaperOptions, Projector, Tracking};
+use pliant_core::params::{
+    Axis, CompliantSide, Damping, Follow, Law, NullSpace, PaperOptions, Projector, TorqueLimits, Tracking,
+};
 use pliant_core::{
     BatchInput, BatchState, Controller, Error, MAX_AXES, Model, ModelOptions, OnInvalid, Payload, Pose, Settings,
     SimdLevel, StepInput, Targets,
@@ -33,7 +35,9 @@ fn controllers(random: &mut Random, each: usize) -> Vec<Controller> {
 fn with_a_state_each_row_equals_a_separate_controller() {
     let mut random = Random::new(5);
     let mut locked = 0;
-    for controller in controllers(&mut random, 4) {
+    let mut all = controllers(&mut random, 4);
+    all.extend(controllers_as_printed());
+    for controller in all {
         let (model, n) = (Arc::clone(controller.model()), controller.model().n());
         let mut singles = vec![controller.clone(); ARMS];
         let mut state = BatchState::new(n, ARMS).unwrap();
@@ -95,12 +99,27 @@ fn controllers_of_paper(random: &mut Random, each: usize) -> Vec<Controller> {
     all
 }
 
+/// Returns controllers of law `paper` as printed, whose step has no optional parts: with bounds on the rates of goals and
+/// torque limits, and without.
+fn controllers_as_printed() -> [Controller; 2] {
+    let (model, paper) = (seeded::arm(0, &ModelOptions::default()), Settings::paper());
+    let printed = |goal_slew, stiffening_time| Settings {
+        tracking: Tracking { damping: Damping::Fixed(0.02), goal_slew, ..paper.tracking.clone() },
+        torque_limits: TorqueLimits { stiffening_time, ..paper.torque_limits.clone() },
+        null_space: NullSpace { projector: Projector::Paper, ..paper.null_space.clone() },
+        ..paper.clone()
+    };
+    [printed(f64::INFINITY, 0.0), printed(0.5, 2.0)]
+        .map(|settings| Controller::new(Arc::clone(&model), settings, Some(seeded::servos(0))).unwrap())
+}
+
 #[test]
 fn without_a_state_each_row_is_a_first_step_without_speed_limit() {
     let mut random = Random::new(6);
     let (mut locked, mut rows) = (0, 0);
     let mut all = controllers(&mut random, 3);
     all.extend(controllers_of_paper(&mut random, 6));
+    all.extend(controllers_as_printed());
     // The tool's speed is bounded by default.
     all.push(default_controller(&mut random, 1).0);
     for controller in all {

@@ -2,19 +2,20 @@
 
 pub(crate) mod state;
 
+use std::ops::Range;
 use std::sync::{Mutex, PoisonError};
 
 use rayon::prelude::*;
 
+use crate::MAX_AXES;
 use crate::batch::state::{RowStatus, row_len};
 use crate::error::{Error, Result};
 use crate::kinematics::velocity_filter::SPEED_BOUND;
-use crate::math::simd::BaselineF64;
+use crate::math::simd::{BaselineF64, BaselineF64x8, JointVector, LANES, flush_subnormals};
 use crate::math::thread_pool::install;
 use crate::model::Model;
 use crate::params::{Params, RowAxes, Settings};
 use crate::pose::Pose;
-use crate::{JointVec, MAX_AXES, MAX_JOINTS};
 
 pub use state::BatchState;
 
@@ -82,22 +83,13 @@ pub(crate) struct Batch<'a> {
     pub(crate) settings: &'a Settings,
 }
 
-/// Validated input of one arm of a batch.
+/// Input of one arm of a batch. Positions, target and velocity are unchecked: the step checks them.
+#[derive(Clone, Copy)]
 pub(crate) struct ArmInput<'a> {
-    /// Index of the arm in the batch.
-    pub(crate) row: usize,
-    q: JointVec,
-    n: usize,
+    pub(crate) q: &'a [f64],
     pub(crate) target: Pose,
     pub(crate) dq: Option<&'a [f64]>,
     pub(crate) axes: RowAxes<'a>,
-}
-
-impl ArmInput<'_> {
-    /// Returns the measured joint positions (n) [rad].
-    pub(crate) fn q(&self) -> &[f64] {
-        &self.q[..self.n.min(MAX_JOINTS)]
-    }
 }
 
 impl<'a> BatchInput<'a> {
@@ -139,60 +131,110 @@ impl<'a> Batch<'a> {
 
     /// Checks the input and the state of every arm before any state changes; returns the error of the first invalid
     /// row.
-    pub(crate) fn check_rows(&self, rows: &[f64]) -> Result<()> {
-        let (n, first) = (self.model.n(), FirstError::default());
-        let check = |(index, rows): (usize, &[f64])| {
-            for (i, row_state) in rows.chunks_exact(row_len(n)).enumerate() {
-                let row = index * CHUNK + i;
-                let checked = self.arm(row, false).and_then(|_| match RowStatus::of(row_state, n) {
-                    RowStatus::Reset(q) => self
-                        .params
-                        .positions(self.model, "q", q)
-                        .map(|_| ())
-                        .map_err(|error| error.in_row("state", row)),
-                    RowStatus::New | RowStatus::Running => Ok(()),
-                });
-                if let Err(error) = checked {
-                    first.report(row, error);
+    pub(crate) fn check_rows(&self, states: &[f64]) -> Result<()> {
+        let (len, first) = (row_len(self.model.n()), FirstError::default());
+        let check = |(index, states): (usize, &[f64])| {
+            let start = index * CHUNK;
+            let rows = start..start + states.len() / len;
+            if !self.are_valid(rows.clone(), states) {
+                for (row, state) in rows.zip(states.chunks_exact(len)) {
+                    if let Err(error) = self.check_row(row, Some(state)) {
+                        first.report(row, error);
+                    }
                 }
             }
         };
-        let chunks = rows.par_chunks(CHUNK * row_len(n)).enumerate();
-        if rows.len() <= CHUNK * row_len(n) {
-            check((0, rows));
+        if states.len() <= CHUNK * len {
+            check((0, states));
         } else {
-            install(|| chunks.for_each(check))?;
+            install(|| states.par_chunks(CHUNK * len).enumerate().for_each(check))?;
         }
         first.result()
     }
 
+    /// Returns true if [`Batch::check_row`] would accept the arms `rows` with these states; it may return false for
+    /// valid rows, too.
+    fn are_valid(&self, rows: Range<usize>, states: &[f64]) -> bool {
+        let (n, input) = (self.model.n(), self.input);
+        let has_more = input.dq.is_some() || input.caps.is_some() || input.adaptation.is_some();
+        n <= LANES
+            && rows.clone().all(|row| self.has_valid_pose(row))
+            && states.chunks_exact(row_len(n)).all(|state| !matches!(RowStatus::of(state, n), RowStatus::Reset(_)))
+            && !(has_more && rows.into_iter().any(|row| self.check_optional(row).is_err()))
+    }
+
+    /// Returns true if positions and target of arm `row` are valid; for arms of at most [`LANES`] joints. Compiled for the
+    /// plain instruction set only, because other sets gain little.
+    #[inline(always)]
+    fn has_valid_pose(&self, row: usize) -> bool {
+        let n = self.model.n();
+        let q = flush_subnormals(BaselineF64x8::load_slice(&self.input.q[row * n..][..n]));
+        let target = self.target(row);
+        let region = &self.params.target_region;
+        self.params.is_plausible(q) && target.is_some_and(|target| !target.is_invalid::<BaselineF64>(region))
+    }
+
+    /// Checks the input of arm `row` and, if it has one, its state.
+    fn check_row(&self, row: usize, state: Option<&[f64]>) -> Result<()> {
+        let n = self.model.n();
+        let q = &self.input.q[row * n..][..n];
+        self.params.positions(self.model, "q", q).map_err(|error| error.in_row("Q", row))?;
+        self.check_optional(row)?;
+        self.check_row_target(row)?;
+        match state.map(|state| RowStatus::of(state, n)) {
+            Some(RowStatus::Reset(q)) => {
+                let checked = self.params.positions(self.model, "q", q);
+                checked.map(|_| ()).map_err(|error| error.in_row("state", row))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Checks velocity, caps and adaptation of arm `row`, if it has them.
+    fn check_optional(&self, row: usize) -> Result<()> {
+        if let Some(dq) = self.dq(row) {
+            self.model.joints_within("dq", dq, SPEED_BOUND).map_err(|error| error.in_row("dq", row))?;
+        }
+        self.params.check_row_axes(row, self.axes(row))
+    }
+
+    /// Returns the error of arm `row`, whose step has failed.
+    #[cold]
+    #[inline(never)]
+    fn diagnose(&self, row: usize, state: Option<&[f64]>) -> Error {
+        self.check_row(row, state).err().unwrap_or_else(|| Error::command_not_finite().in_row("Q", row))
+    }
+
     /// Steps all arms. `make` creates the controller that a thread uses for its chunks. With it, `step` steps one arm
-    /// from the row of its state and writes goal, torque limit and speed. If that fails, the command of the arm is NaN.
-    /// `is_checked` is true if [`Self::check_rows`] has found no error.
+    /// from the row of its state, if there is one, and writes goal, torque limit and speed. It returns false if input,
+    /// state or command are invalid; the command of the arm is then NaN. `is_checked` is true if [`Self::check_rows`]
+    /// has found no error.
     pub(crate) fn run<A>(
         &self,
         is_checked: bool,
         state: Option<&mut [f64]>,
         out: BatchCommand<'_>,
         make: impl Fn() -> A + Sync + Send,
-        step: impl Fn(&mut A, &ArmInput<'a>, Option<&mut [f64]>, [&mut [f64]; 3]) -> Result<()> + Sync + Send,
+        step: impl Fn(&mut A, &ArmInput<'a>, Option<&mut [f64]>, [&mut [f64]; 3]) -> bool + Sync + Send,
     ) -> Result<()> {
         let (n, first) = (self.model.n(), FirstError::default());
         let BatchCommand { goal, torque_limit, velocity } = out;
-        let chunk = |arm: &mut A, index: usize, mut row_state: Option<&mut [f64]>, outs: [&mut [f64]; 3]| {
+        let chunk = |arm: &mut A, index: usize, mut states: Option<&mut [f64]>, outs: [&mut [f64]; 3]| {
             let [goals, limits, velocities] = outs;
             let outs = goals.chunks_exact_mut(n).zip(limits.chunks_exact_mut(n)).zip(velocities.chunks_exact_mut(n));
             for (i, ((goal, limit), velocity)) in outs.enumerate() {
                 let row = index * CHUNK + i;
-                let row_state = row_state.as_deref_mut().map(|rows| &mut rows[i * row_len(n)..][..row_len(n)]);
-                let outs = [&mut *goal, &mut *limit, &mut *velocity];
-                let input = self.arm(row, is_checked);
-                if let Err(error) = input.and_then(|input| step(arm, &input, row_state, outs)) {
+                let mut state = states.as_deref_mut().map(|states| &mut states[i * row_len(n)..][..row_len(n)]);
+                let succeeded = self.arm(row, is_checked).is_some_and(|input| {
+                    let outs = [&mut *goal, &mut *limit, &mut *velocity];
+                    step(arm, &input, state.as_deref_mut(), outs)
+                });
+                if !succeeded {
                     for out in [goal, limit, velocity] {
                         out.fill(f64::NAN);
                     }
                     if self.input.invalid == OnInvalid::Error {
-                        first.report(row, error);
+                        first.report(row, self.diagnose(row, state.as_deref()));
                     }
                 }
             }
@@ -209,56 +251,66 @@ impl<'a> Batch<'a> {
             None => outs.for_each_init(&make, |arm, (index, (a, b, c))| chunk(arm, index, None, [a, b, c])),
             Some(state) => {
                 let states = state.par_chunks_mut(CHUNK * row_len(n));
-                outs.zip(states).for_each_init(&make, |arm, ((index, (a, b, c)), row_state)| {
-                    chunk(arm, index, Some(row_state), [a, b, c]);
+                outs.zip(states).for_each_init(&make, |arm, ((index, (a, b, c)), states)| {
+                    chunk(arm, index, Some(states), [a, b, c]);
                 });
             }
         })?;
         first.result()
     }
 
-    /// Reads the input of arm `row`, and checks it unless it `is_checked`.
-    fn arm(&self, row: usize, is_checked: bool) -> Result<ArmInput<'a>> {
-        let (n, model) = (self.model.n(), self.model);
-        let q = &self.input.q[row * n..][..n];
-        // Checked in any case, because the check costs no more than reading.
-        let q = self.params.positions(model, "q", q).map_err(|error| error.in_row("Q", row))?;
-        let dq = self.input.dq.map(|dq| &dq[row * n..][..n]);
-        let of_row = |values: &'a [f64]| &values[row * MAX_AXES..][..MAX_AXES];
-        let axes = RowAxes { caps: self.input.caps.map(of_row), adaptation: self.input.adaptation.map(of_row) };
-        if !is_checked {
-            if let Some(dq) = dq {
-                model.joints_within("dq", dq, SPEED_BOUND).map_err(|error| error.in_row("dq", row))?;
-            }
-            self.params.check_row_axes(row, axes)?;
+    /// Reads the input of arm `row`; `None` if its target is not the matrix of a pose or, unless it `is_checked`, its
+    /// caps or adaptation are invalid.
+    #[inline(always)]
+    fn arm(&self, row: usize, is_checked: bool) -> Option<ArmInput<'a>> {
+        let (n, axes) = (self.model.n(), self.axes(row));
+        if !is_checked && self.params.check_row_axes(row, axes).is_err() {
+            return None;
         }
-        Ok(ArmInput { row, q, n, target: self.target(row, is_checked)?, dq, axes })
+        Some(ArmInput { q: &self.input.q[row * n..][..n], target: self.target(row)?, dq: self.dq(row), axes })
     }
 
-    fn target(&self, row: usize, is_checked: bool) -> Result<Pose> {
-        let named = |of: &dyn Fn(&str) -> Result<Pose>| of("").or_else(|_| of(&format!("targets[{row}]")));
+    #[inline(always)]
+    fn dq(&self, row: usize) -> Option<&'a [f64]> {
+        let n = self.model.n();
+        self.input.dq.map(|dq| &dq[row * n..][..n])
+    }
+
+    #[inline(always)]
+    fn axes(&self, row: usize) -> RowAxes<'a> {
+        let of_row = |values: &'a [f64]| &values[row * MAX_AXES..][..MAX_AXES];
+        RowAxes { caps: self.input.caps.map(of_row), adaptation: self.input.adaptation.map(of_row) }
+    }
+
+    /// Returns the target of arm `row`, unchecked; `None` if the last row of its matrix is not that of a pose.
+    #[inline(always)]
+    fn target(&self, row: usize) -> Option<Pose> {
         match self.input.targets {
-            Targets::One(pose) => Ok(*pose),
-            Targets::Poses(values) => {
-                let m = &values[16 * row..][..16];
-                let line = |i: usize| [m[4 * i], m[4 * i + 1], m[4 * i + 2], m[4 * i + 3]];
-                named(&|name| {
-                    let pose = Pose::from_unchecked_rows(name, &[line(0), line(1), line(2), line(3)])?;
-                    if !is_checked && pose.is_invalid::<BaselineF64>(&self.params.target_region) {
-                        pose.check(name)?;
-                        self.check_target(name, &pose)?;
-                    }
-                    Ok(pose)
-                })
-            }
+            Targets::One(pose) => Some(*pose),
+            Targets::Poses(values) => match values[16 * row..].first_chunk() {
+                Some(matrix) => Pose::from_unchecked_matrix(matrix),
+                None => None,
+            },
             Targets::Positions(values) => {
                 let p = &values[3 * row..][..3];
-                let pose = Pose { position: [p[0], p[1], p[2]], ..Pose::IDENTITY };
-                if is_checked {
-                    return Ok(pose);
-                }
-                named(&|name| self.check_target(name, &pose).map(|()| pose))
+                Some(Pose { position: [p[0], p[1], p[2]], ..Pose::IDENTITY })
             }
+        }
+    }
+
+    /// Checks the target of arm `row`.
+    fn check_row_target(&self, row: usize) -> Result<()> {
+        let name = format!("targets[{row}]");
+        match (self.input.targets, self.target(row)) {
+            (Targets::Poses(_), Some(target)) => {
+                target.check(&name)?;
+                self.check_target(&name, &target)
+            }
+            (Targets::Poses(values), None) => {
+                Err(Pose::no_homogeneous_matrix(&name, [12, 13, 14, 15].map(|i| values[16 * row + i])))
+            }
+            (Targets::Positions(_), Some(target)) => self.check_target(&name, &target),
+            (Targets::One(_) | Targets::Positions(_), _) => Ok(()),
         }
     }
 

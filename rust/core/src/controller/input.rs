@@ -2,7 +2,6 @@
 
 use crate::error::{Error, Result};
 use crate::kinematics::velocity_filter::SPEED_BOUND;
-use crate::math::simd::{JointVector, NEGLIGIBLE};
 use crate::model::Model;
 use crate::params::Params;
 use crate::pose::COORDINATE_BOUND;
@@ -85,12 +84,6 @@ pub(crate) fn period(dt: f64) -> Result<f64> {
 fn no_period(dt: f64) -> Error {
     let hint = if dt > LONGEST_PERIOD { "; is it in milliseconds?" } else { "" };
     Error::out_of_range("dt [s]", dt, format!("(0, {LONGEST_PERIOD}]{hint}"))
-}
-
-/// Replaces negligibly small positions by 0, because subnormal numbers are slow.
-#[inline(always)]
-pub(super) fn flush_subnormals<J: JointVector>(q: J) -> J {
-    J::select_lt(J::abs(q), J::splat(NEGLIGIBLE), J::splat(0.0), q)
 }
 
 fn checked_twist(twist: &AxisVec) -> Result<AxisVec> {

@@ -15,6 +15,7 @@ use nalgebra::{DMatrix, DVector};
 use crate::batch::state::{RowStatus, row_len};
 use crate::batch::{ArmInput, Batch, BatchCommand, BatchInput, BatchState, OnInvalid};
 use crate::error::{Error, Result};
+use crate::kinematics::velocity_filter::SPEED_BOUND;
 use crate::kinematics::{GroupMasses, JointFrames, KinematicScratch};
 use crate::law;
 use crate::math::simd::SimdLevel;
@@ -154,57 +155,59 @@ impl Controller {
     pub fn step_batch(
         &self,
         input: &BatchInput<'_>,
-        state: Option<&mut BatchState>,
+        mut state: Option<&mut BatchState>,
         out: BatchCommand<'_>,
     ) -> Result<()> {
-        let count = self.batch(input).check(&out)?;
-        self.period(input.dt)?;
-        match state {
-            None => {
-                let mut free = self.clone();
-                free.settings.tracking.goal_slew = f64::INFINITY;
-                free.settings.max_tool_speed = [f64::INFINITY; 2];
-                let step = |arm: &mut Self, one: &ArmInput<'_>, _: Option<&mut [f64]>, out: [&mut [f64]; 3]| {
-                    // The reference may jump to the target in this call. Only deviation limits hold it back from the
-                    // target, to where it started: at the tool, which a new state does.
-                    arm.state = if arm.params.deviation_limits.is_empty() {
-                        State::resting(one.q(), one.target)
-                    } else {
-                        State::new()
-                    };
-                    arm.step_row(one, input.dt, out)
-                };
-                free.batch(input).run(false, None, out, || free.without_payload_ramp(), step)
-            }
-            Some(state) => {
-                let changed = state.settings.as_deref().is_some_and(|before| before != self.settings());
-                let (n, batch) = (self.params.n, self.batch(input));
-                let rows = state.rows_of(n, count)?;
-                let is_checked = input.invalid == OnInvalid::Error;
-                if is_checked {
-                    batch.check_rows(rows)?;
-                }
-                let step = |arm: &mut Self, one: &ArmInput<'_>, row_state: Option<&mut [f64]>, out: [&mut [f64]; 3]| {
-                    let row_state = row_state.unwrap_or_default();
-                    match RowStatus::of(row_state, n) {
-                        RowStatus::New => arm.state = State::new(),
-                        RowStatus::Reset(q) => arm.reset(q).map_err(|error| error.in_row("state", one.row))?,
-                        RowStatus::Running => arm.state.read_from(n, row_state),
-                    }
-                    if changed {
-                        arm.reset_dependent_state();
-                    }
-                    arm.step_row(one, input.dt, out)?;
-                    arm.state.write_to(n, row_state);
-                    Ok(())
-                };
-                batch.run(is_checked, Some(rows), out, || self.without_payload_ramp(), step)?;
-                if changed || state.settings.is_none() {
-                    state.settings = Some(Box::new(self.settings().clone()));
-                }
-                Ok(())
-            }
+        let (n, simd_level, batch) = (self.params.n, self.simd_level, self.batch(input));
+        let count = batch.check(&out)?;
+        let dt = self.period(input.dt)?;
+        let changed =
+            state.as_ref().and_then(|state| state.settings.as_deref()).is_some_and(|old| old != &self.settings);
+        let rows = state.as_mut().map(|state| state.rows_of(n, count)).transpose()?;
+        let is_checked = rows.is_some() && input.invalid == OnInvalid::Error;
+        if let Some(rows) = &rows
+            && is_checked
+        {
+            batch.check_rows(rows)?;
         }
+        let (is_free, is_stateless) = (rows.is_none(), self.params.is_plain && input.dq.is_none());
+        let make = || {
+            let mut arm = self.clone();
+            arm.payload_ramp = None;
+            if is_free {
+                arm.settings.tracking.goal_slew = f64::INFINITY;
+                arm.settings.max_tool_speed = [f64::INFINITY; 2];
+            }
+            arm
+        };
+        let step = |arm: &mut Self, one: &ArmInput<'_>, row: Option<&mut [f64]>, out: [&mut [f64]; 3]| {
+            let Some(row) = row else {
+                return (is_stateless || arm.start_row(one)) && arm.step_row(one, dt, is_stateless, out);
+            };
+            let is_ready = match RowStatus::of(row, n) {
+                RowStatus::Running => {
+                    arm.state.read_from(simd_level, n, row);
+                    true
+                }
+                RowStatus::New => arm.reset(one.q).is_ok(),
+                RowStatus::Reset(q) => arm.reset(q).is_ok(),
+            };
+            if changed {
+                arm.reset_dependent_state();
+            }
+            if !(is_ready && arm.step_row(one, dt, false, out)) {
+                return false;
+            }
+            arm.state.write_to(simd_level, n, row);
+            true
+        };
+        batch.run(is_checked, rows, out, make, step)?;
+        if let Some(state) = state
+            && (changed || state.settings.is_none())
+        {
+            state.settings = Some(Box::new(self.settings.clone()));
+        }
+        Ok(())
     }
 
     /// Resets the state to an arm at rest in `q` (n) [rad]: the goals start there, and `q` is the rest posture unless
@@ -346,7 +349,7 @@ impl Controller {
     pub fn snapshot(&self) -> Snapshot {
         let n = self.params.n;
         let mut state = vec![0.0; if self.state.started { row_len(n) } else { 0 }];
-        self.state.clone().write_to(n, &mut state);
+        self.state.clone().write_to(self.simd_level, n, &mut state);
         Snapshot {
             payload: self.payload,
             gravity: self.gravity,
@@ -382,7 +385,7 @@ impl Controller {
         controller.set_delay(snapshot.delay)?;
         snapshot.validate_state(n)?;
         if !snapshot.state.is_empty() {
-            controller.state.read_from(n, &snapshot.state);
+            controller.state.read_from(controller.simd_level, n, &snapshot.state);
         }
         if let Some(payload_ramp) = snapshot.payload_ramp {
             controller.payload_ramp = Some(PayloadRamp::resume(payload_ramp, &controller.masses));
@@ -612,9 +615,10 @@ impl Controller {
         if !self.state.started {
             return self.start(q, target, input);
         }
-        let (dt, simd_level) = (self.period(input.dt)?, self.simd_level);
+        let dt = self.period(input.dt)?;
+        let simd_level = self.simd_level;
         let succeeded = if self.params.is_plain && input.has_period_only() {
-            simd_level.dispatch_narrow(PlainStep { controller: self, q, target, dt })
+            simd_level.dispatch_narrow(PlainStep { controller: self, q, target, dt, is_stateless: false })
         } else {
             let mut optional = Input::new(dt);
             optional.read(&self.model, &self.params, input)?;
@@ -659,9 +663,7 @@ impl Controller {
     fn diagnose(&self, q: &[f64], target: &Pose) -> Error {
         match self.positions("q", q).map(|_| ()).and_then(|()| self.check_target("target", target)) {
             Err(error) => error,
-            Ok(()) => {
-                Error::config("step", "the command is not finite for this q, target and settings: nothing was sent")
-            }
+            Ok(()) => Error::command_not_finite(),
         }
     }
 
@@ -670,20 +672,48 @@ impl Controller {
         Batch { input, model: &self.model, params: &self.params, settings: &self.settings }
     }
 
-    /// Steps one arm of a batch from the present state, and writes its command.
-    fn step_row(&mut self, one: &ArmInput<'_>, dt: Option<f64>, [goal, limit, speed]: [&mut [f64]; 3]) -> Result<()> {
-        self.params.set_row_axes(one.axes);
-        let input = StepInput { dt, dq: one.dq, ..StepInput::default() };
-        let command = self.step_impl(one.q(), &one.target, &input).map_err(|error| error.in_row("Q", one.row))?;
-        goal.copy_from_slice(command.goal());
-        limit.copy_from_slice(command.torque_limit());
-        speed.copy_from_slice(command.speed_limit());
-        Ok(())
+    /// Resets the state to that before the first step of an arm of a batch without a state; returns false if its
+    /// positions are invalid.
+    fn start_row(&mut self, one: &ArmInput<'_>) -> bool {
+        let Ok(q) = self.positions("q", one.q) else { return false };
+        // The reference may jump to the target in this call. Only deviation limits hold it back from the target, to
+        // where it started: at the tool.
+        if self.params.deviation_limits.is_empty() {
+            self.state = State::at(&q, one.target, true);
+        } else {
+            self.restart(&q);
+        }
+        true
     }
 
-    /// Returns a copy of the controller in which a payload change has taken full effect.
-    fn without_payload_ramp(&self) -> Self {
-        Self { payload_ramp: None, ..self.clone() }
+    /// Steps one arm of a batch from the present state, `dt` [s] after the last step, and writes its command; returns
+    /// false if input or command are invalid. `is_stateless` as [`PlainStep::is_stateless`].
+    fn step_row(
+        &mut self,
+        one: &ArmInput<'_>,
+        dt: f64,
+        is_stateless: bool,
+        [goal, limit, speed]: [&mut [f64]; 3],
+    ) -> bool {
+        self.params.set_row_axes(one.axes);
+        let (ArmInput { q, ref target, dq, .. }, simd_level) = (*one, self.simd_level);
+        let succeeded = if self.params.is_plain && dq.is_none() {
+            simd_level.dispatch_narrow(PlainStep { controller: self, q, target, dt, is_stateless })
+        } else {
+            let mut input = Input::new(dt);
+            if let Some(dq) = dq {
+                let Ok(checked) = self.model.joints_within("dq", dq, SPEED_BOUND) else { return false };
+                input.dq = Some(checked);
+            }
+            simd_level.dispatch_narrow(Step { controller: self, q, target, input: &input })
+        };
+        if !succeeded {
+            return false;
+        }
+        goal.copy_from_slice(self.command.goal());
+        limit.copy_from_slice(self.command.torque_limit());
+        speed.copy_from_slice(self.command.speed_limit());
+        true
     }
 
     /// Returns the masses of the arm for the next step; during a payload change, those of the ramp.

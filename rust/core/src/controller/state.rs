@@ -1,8 +1,8 @@
 //! State of a controller between steps.
 
-use crate::batch::state::Flag;
+use crate::batch::state::{Flag, row_len};
 use crate::kinematics::velocity_filter::VelocityFilter;
-use crate::math::rows::pad;
+use crate::math::simd::{Isa, JointVec16, JointVector, Kernel, LANES, SimdLevel};
 use crate::math::singular_values::SingularValues;
 use crate::pose::Pose;
 use crate::task::reference_governor::ReferenceGovernor;
@@ -38,11 +38,6 @@ impl State {
         Self::at(&[0.0; MAX_JOINTS], Pose::IDENTITY, false)
     }
 
-    /// Returns the state of an arm at rest in `q` (n) [rad], with the tool at `tool`.
-    pub(crate) fn resting(q: &[f64], tool: Pose) -> Self {
-        Self::at(&pad(q, 0.0), tool, true)
-    }
-
     /// Returns the state of an arm at rest in `q` [rad], with the tool at `tool`.
     pub(crate) fn at(q: &JointVec, tool: Pose, started: bool) -> Self {
         Self {
@@ -61,11 +56,13 @@ impl State {
     }
 }
 
-/// Evaluates `$body` for each field of the state except the flags, in the order of the row; `$numbers` is the field as
-/// a slice, `$n` the number of joints. A macro, because a closure would copy slices whose length is known at run time
-/// only.
+/// Number of values at the end of a row that are not one per joint.
+const TAIL: usize = row_len(0) - 1;
+
+/// Calls the macro `$joints` for each field with one number per joint, then `$numbers` for each other field as a slice,
+/// in the order of the row, without the flags. `$get` returns the torque limits from the field `$limit`.
 macro_rules! for_each_field {
-    ($state:expr, $limit:expr, $n:expr, $numbers:ident => $body:expr) => {{
+    ($state:expr, $limit:ident => $get:expr; $joints:ident, $numbers:ident) => {
         // Destructured without `..`, so that a new field does not compile before it is stored.
         let State {
             filter: VelocityFilter { backlash_output, velocity },
@@ -73,58 +70,147 @@ macro_rules! for_each_field {
             goal,
             gravity_offset,
             singular: SingularValues { min_vectors: [first, second], max_vector, smallest: _, largest: _ },
-            governor:
-                ReferenceGovernor { pose, velocity: reference_velocity, target, target_speed },
+            governor: ReferenceGovernor { pose, velocity: reference_velocity, target, target_speed },
             rest,
             integral,
             started: _,
             cold: _,
-            limit: _,
+            limit: $limit,
         } = $state;
-        for_each_field!(@slices $numbers, $body;
-            &mut goal[..$n], std::slice::from_mut(gamma), &mut backlash_output[..$n], &mut velocity[..$n],
-            &mut gravity_offset[..$n], &mut $limit[..$n], &mut rest[..$n], &mut integral[..$n],
-            first.as_mut_slice(), second.as_mut_slice(), max_vector.as_mut_slice(),
-            reference_velocity.as_mut_slice(), pose.rotation.as_flattened_mut(), pose.position.as_mut_slice(),
-            target.rotation.as_flattened_mut(), target.position.as_mut_slice(), target_speed.as_mut_slice()
-        )
-    }};
-    (@slices $numbers:ident, $body:expr; $($slice:expr),*) => {
-        {$({
-            let $numbers: &mut [f64] = $slice;
-            $body
-        })*}
+        $joints!(0, goal);
+        $joints!(1, backlash_output);
+        $joints!(2, velocity);
+        $joints!(3, gravity_offset);
+        $joints!(4, $get);
+        $joints!(5, rest);
+        $joints!(6, integral);
+        $numbers!(std::slice::from_mut(gamma));
+        $numbers!(first.as_mut_slice());
+        $numbers!(second.as_mut_slice());
+        $numbers!(max_vector.as_mut_slice());
+        $numbers!(reference_velocity.as_mut_slice());
+        $numbers!(pose.rotation.as_flattened_mut());
+        $numbers!(pose.position.as_mut_slice());
+        $numbers!(target.rotation.as_flattened_mut());
+        $numbers!(target.position.as_mut_slice());
+        $numbers!(target_speed.as_mut_slice());
     };
+}
+
+/// Copy of the state of an arm of `n` joints into a row of numbers.
+struct Write<'a> {
+    state: &'a mut State,
+    n: usize,
+    row: &'a mut [f64],
+}
+
+/// Copy of a row of numbers into the state of an arm of `n` joints.
+struct Read<'a> {
+    state: &'a mut State,
+    n: usize,
+    row: &'a [f64],
+}
+
+impl Kernel for Write<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<M: Isa>(self) {
+        if self.n <= LANES { self.write::<LANES>() } else { self.write_large() }
+    }
+}
+
+impl Kernel for Read<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<M: Isa>(self) {
+        if self.n <= LANES { self.read::<M::F64x8>() } else { self.read_large() }
+    }
+}
+
+impl Write<'_> {
+    /// Writes a state with more than [`LANES`] joints; compiled once for all instruction sets.
+    #[inline(never)]
+    fn write_large(self) {
+        self.write::<MAX_JOINTS>();
+    }
+
+    /// Writes a state with at most `N` joints. Writes `N` numbers for each field, because copies of a constant length
+    /// are faster; the next field overwrites those after the last joint.
+    #[inline(always)]
+    fn write<const N: usize>(self) {
+        let Self { state, n, row } = self;
+        let Some((first, rest)) = row.split_first_mut() else { return };
+        let cold = if state.cold { Flag::Cold as u32 } else { 0 };
+        let limited = if state.limit.is_some() { Flag::Limited as u32 } else { 0 };
+        *first = f64::from(u32::from(state.started) * Flag::Started as u32 + cold + limited);
+        let (mut none, mut at) = ([0.0; MAX_JOINTS], 0);
+        macro_rules! write_joints {
+            ($index:literal, $field:expr) => {
+                if let (Some(slots), Some(field)) = (rest[$index * n..].first_chunk_mut::<N>(), $field.first_chunk()) {
+                    *slots = *field;
+                }
+            };
+        }
+        macro_rules! write_numbers {
+            ($field:expr) => {
+                let field = $field;
+                if let Some(tail) = rest.last_chunk_mut::<TAIL>() {
+                    tail[at..at + field.len()].copy_from_slice(field);
+                }
+                at += field.len();
+            };
+        }
+        for_each_field!(state, limit => limit.as_mut().unwrap_or(&mut none); write_joints, write_numbers);
+        let _ = at;
+    }
+}
+
+impl Read<'_> {
+    /// Reads a state with more than [`LANES`] joints; compiled once for all instruction sets.
+    #[inline(never)]
+    fn read_large(self) {
+        self.read::<JointVec16>();
+    }
+
+    /// Reads a state with as many joints as `J` has elements.
+    #[inline(always)]
+    fn read<J: JointVector>(self) {
+        let Self { state, n, row } = self;
+        let Some((&flags, rest)) = row.split_first() else { return };
+        let Some(tail) = rest.last_chunk::<TAIL>() else { return };
+        let mut at = 0;
+        macro_rules! read_joints {
+            ($index:literal, $field:expr) => {
+                J::load_slice(&rest[$index * n..][..n]).store($field);
+            };
+        }
+        macro_rules! read_numbers {
+            ($field:expr) => {
+                let field = $field;
+                field.copy_from_slice(&tail[at..at + field.len()]);
+                at += field.len();
+            };
+        }
+        for_each_field!(&mut *state, limit => limit.get_or_insert([0.0; MAX_JOINTS]); read_joints, read_numbers);
+        let _ = at;
+        state.started = true;
+        state.cold = Flag::Cold.is_in(flags);
+        if !Flag::Limited.is_in(flags) {
+            state.limit = None;
+        }
+    }
 }
 
 impl State {
     /// Writes the state of an arm of `n` joints into `row`, whose length is that of `row_len`.
-    pub(crate) fn write_to(&mut self, n: usize, row: &mut [f64]) {
-        let (mut limit, n) = (self.limit.unwrap_or([0.0; MAX_JOINTS]), n.min(MAX_JOINTS));
-        let all = [(self.started, Flag::Started), (self.cold, Flag::Cold), (self.limit.is_some(), Flag::Limited)];
-        let flags = all.iter().fold(0_u32, |sum, &(on, flag)| if on { sum + flag as u32 } else { sum });
-        let Some((first, mut rest)) = row.split_first_mut() else { return };
-        *first = f64::from(flags);
-        for_each_field!(self, limit, n, numbers => {
-            let Some((slots, after)) = rest.split_at_mut_checked(numbers.len()) else { return };
-            slots.copy_from_slice(numbers);
-            rest = after;
-        });
-        let _ = rest;
+    pub(crate) fn write_to(&mut self, simd_level: SimdLevel, n: usize, row: &mut [f64]) {
+        simd_level.dispatch_narrow(Write { state: self, n, row });
     }
 
     /// Reads the state of an arm of `n` joints from `row`, which [`State::write_to`] has written.
-    pub(crate) fn read_from(&mut self, n: usize, row: &[f64]) {
-        let (Some((&flags, mut rest)), n) = (row.split_first(), n.min(MAX_JOINTS)) else { return };
-        let mut limit = [0.0; MAX_JOINTS];
-        for_each_field!(&mut *self, limit, n, numbers => {
-            let Some((slots, after)) = rest.split_at_checked(numbers.len()) else { return };
-            numbers.copy_from_slice(slots);
-            rest = after;
-        });
-        let _ = rest;
-        self.started = true;
-        self.cold = Flag::Cold.is_in(flags);
-        self.limit = Flag::Limited.is_in(flags).then_some(limit);
+    pub(crate) fn read_from(&mut self, simd_level: SimdLevel, n: usize, row: &[f64]) {
+        simd_level.dispatch_narrow(Read { state: self, n, row });
     }
 }

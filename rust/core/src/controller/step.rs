@@ -7,7 +7,7 @@ use crate::command::host_loss::HostLossBound;
 use crate::command::integrator::Integrator;
 use crate::command::torque_limit::{SumRuleInput, bound_and_slew};
 use crate::controller::diagnostics::Diagnostics;
-use crate::controller::input::{Input, flush_subnormals};
+use crate::controller::input::Input;
 use crate::controller::state::State;
 use crate::controller::{Command, Controller};
 use crate::kinematics::velocity_filter::Filtered;
@@ -18,7 +18,7 @@ use crate::law::redistribution::{redistribute, without_locked};
 use crate::law::singularity::{row_damping, singularity_state};
 use crate::law::{self, LawInput, Pacing};
 use crate::math::rows::store_rows;
-use crate::math::simd::{F64x8, Isa, JointVec16, JointVector, Kernel, LANES, RealOps, SimdLevel};
+use crate::math::simd::{F64x8, Isa, JointVec16, JointVector, Kernel, LANES, RealOps, SimdLevel, flush_subnormals};
 use crate::math::singular_values::SingularValues;
 use crate::model::Chain;
 use crate::params::{Features, LimitRule, Params, Settings};
@@ -55,6 +55,9 @@ pub(super) struct PlainStep<'a> {
     pub(super) target: &'a Pose,
     /// Time since the last step [s].
     pub(super) dt: f64,
+    /// True for the first step of an arm of which only the command is needed: the step sets the part of the state that it
+    /// reads, and leaves the rest and the record undefined.
+    pub(super) is_stateless: bool,
 }
 
 /// Inputs of one step, and the state that it changes.
@@ -69,6 +72,8 @@ struct StepContext<'a> {
     q: &'a [f64],
     target: &'a Pose,
     input: &'a Input,
+    /// True for [`PlainStep::is_stateless`].
+    is_stateless: bool,
     state: &'a mut State,
     scratch: &'a mut KinematicScratch,
     diagnostics: &'a mut Diagnostics,
@@ -101,7 +106,7 @@ impl Kernel for Step<'_> {
     #[inline(always)]
     fn run<M: Isa>(self) -> bool {
         let features = Features { inputs: true, ..self.controller.params.features };
-        let mut context = StepContext::new(self.controller, self.q, self.target, self.input);
+        let mut context = StepContext::new(self.controller, self.q, self.target, self.input, false);
         if context.params.n <= LANES {
             context.step_generic::<M::F64x8>(features)
         } else {
@@ -116,14 +121,26 @@ impl Kernel for PlainStep<'_> {
 
     #[inline(always)]
     fn run<M: Isa>(self) -> bool {
+        if self.is_stateless {
+            let state = &mut self.controller.state;
+            flush_subnormals(M::F64x8::load_slice(self.q)).store(&mut state.rest);
+            state.limit = None;
+        }
         let input = Input::new(self.dt);
-        StepContext::new(self.controller, self.q, self.target, &input).step_generic::<M::F64x8>(Features::PLAIN)
+        StepContext::new(self.controller, self.q, self.target, &input, self.is_stateless)
+            .step_generic::<M::F64x8>(Features::PLAIN)
     }
 }
 
 impl<'a> StepContext<'a> {
     #[inline(always)]
-    fn new(controller: &'a mut Controller, q: &'a [f64], target: &'a Pose, input: &'a Input) -> Self {
+    fn new(
+        controller: &'a mut Controller,
+        q: &'a [f64],
+        target: &'a Pose,
+        input: &'a Input,
+        is_stateless: bool,
+    ) -> Self {
         Self {
             simd_level: controller.simd_level,
             params: &controller.params,
@@ -138,6 +155,7 @@ impl<'a> StepContext<'a> {
             q,
             target,
             input,
+            is_stateless,
             state: &mut controller.state,
             scratch: &mut controller.scratch,
             diagnostics: &mut controller.diagnostics,
@@ -242,6 +260,10 @@ impl StepContext<'_> {
         }
         let (mut filtered, mut reference) = (filtered, step_reference.reference);
         if features == Features::PLAIN {
+            self.store_goals(features, &arm, Goals { goal, gravity_offset }, limit);
+            if self.is_stateless {
+                return true;
+            }
             // The step needs no velocity, and its reference is the target: computed and read here, they occupy no
             // registers before.
             (filtered, reference) = (self.filter(features, measured), *self.target);
@@ -258,12 +280,9 @@ impl StepContext<'_> {
         if features.integral && !limited_axes.contains(&true) {
             self.integrate(dt, &arm, &demand, &solved, &locked);
         }
-        goal.store(&mut self.state.goal);
-        gravity_offset.store(&mut self.state.gravity_offset);
-        limit.store(self.state.limit.get_or_insert([0.0; MAX_JOINTS]));
-        goal.store(&mut self.command.goal);
-        limit.store(&mut self.command.torque_limit);
-        self.profile(features, &arm).store(&mut self.command.speed_limit);
+        if features != Features::PLAIN {
+            self.store_goals(features, &arm, Goals { goal, gravity_offset }, limit);
+        }
         self.record_diagnostics(features, &arm, (reference, &filtered), &demand, &solved, (&locked, &limited_axes));
         true
     }
@@ -472,6 +491,18 @@ impl StepContext<'_> {
                 J::load(&sum_rule.sum(params, self.settings.paper_options.gravity_scale))
             }
         }
+    }
+
+    /// Stores the goals and the torque limits for the next step, and the command.
+    #[inline(always)]
+    fn store_goals<J: JointVector>(&mut self, features: Features, arm: &ArmState<'_, J>, goals: Goals<J>, limit: J) {
+        let Goals { goal, gravity_offset } = goals;
+        goal.store(&mut self.state.goal);
+        gravity_offset.store(&mut self.state.gravity_offset);
+        limit.store(self.state.limit.get_or_insert([0.0; MAX_JOINTS]));
+        goal.store(&mut self.command.goal);
+        limit.store(&mut self.command.torque_limit);
+        self.profile(features, arm).store(&mut self.command.speed_limit);
     }
 
     /// Stores the intermediate results of the step in the diagnostics; of a plain step only those from which

@@ -230,8 +230,8 @@ impl<J: JointVector> LawInput<'_, J> {
         let weight = J::load(&params.joint_weight_inv);
         match (params.projector, &self.singularity.factor) {
             (Projector::Paper, _) => NullSpace::new(self.rows, weight, &self.damping.to_axes(), size),
-            // With equal joint weights and μ = 0, reuse the factor that the singular value tracking computed.
-            (Projector::Exact, Some(factor)) if params.law.by_force() && !(self.singularity.mu_squared > 0.0) => {
+            // With joint weights 1 and μ = 0, reuse the factor that the singular value tracking computed.
+            (Projector::Exact, Some(factor)) if !(params.has_joint_weights || self.singularity.mu_squared > 0.0) => {
                 NullSpace::of(self.scaled_rows, weight, factor, size)
             }
             (Projector::Exact, _) => {

@@ -129,6 +129,8 @@ pub(crate) struct Params {
     /// 1 / weight of each joint in law `paper`'s pseudo-inverse; 1 under the other laws, which weight joints by the
     /// servos' stiffness.
     pub(crate) joint_weight_inv: JointVec,
+    /// True if a joint has another weight than 1.
+    pub(crate) has_joint_weights: bool,
     /// Speed limit of each joint [rad/s]; ∞ for none.
     pub(crate) joint_speed: JointVec,
     /// Lower position limits [rad or m]; −∞ for continuous joints.
@@ -195,7 +197,7 @@ impl Params {
         let kx = compact(&kx, k);
         let (lower, upper) = (pad(model.lower(), f64::NEG_INFINITY), pad(model.upper(), f64::INFINITY));
         let posture_lets_go = settings.law.by_force() && redundant;
-        let well_damped = arrays.well_damped(n);
+        let (well_damped, posture) = (arrays.well_damped(n), settings.null_space.posture.as_deref());
         let mut params = Self {
             n,
             k,
@@ -231,15 +233,11 @@ impl Params {
             }),
             damping,
             cost: resolve_cost(model, settings)?,
-            posture: settings
-                .null_space
-                .posture
-                .as_ref()
-                .map(|posture| list("null_space.posture", Some(posture), n, 0.0))
-                .transpose()?,
+            posture: posture.map(|posture| list("null_space.posture", Some(posture), n, 0.0)).transpose()?,
             null_torque: settings.null_space.max_torque.unwrap_or(if redundant { 2.0 } else { 0.0 }),
             null_speed: settings.null_space.max_speed,
             joint_weight_inv: resolve_weight(settings, n)?,
+            has_joint_weights: !settings.law.by_force() && settings.paper_options.joint_weights.is_some(),
             joint_speed: resolve_speed(model, settings)?,
             lower,
             upper,

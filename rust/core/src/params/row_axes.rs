@@ -30,46 +30,26 @@ impl Params {
 
     #[inline(never)]
     fn check_values(&self, row: usize, axes: RowAxes<'_>) -> Result<()> {
-        let each = |argument: &str, values: Option<&[f64]>, check: &dyn Fn(usize, f64) -> Result<()>| {
-            for (axis, &value) in values.into_iter().flatten().enumerate() {
-                let name = AXIS_NAMES.get(axis).copied().unwrap_or_default();
-                let checked = match self.row_that_yields(axis) {
-                    Some(r) => check(r, value),
-                    None if value.is_nan() => Ok(()),
-                    None => Err(Error::config(
-                        name,
-                        format!(
-                            "{value} has no effect, because the settings have no axis {name} that yields: use NaN here, \
-                             or settings in which it yields"
-                        ),
-                    )),
-                };
-                checked.map_err(|error| error.in_row(argument, row))?;
-            }
-            Ok(())
-        };
-        let (by_force, name) = (self.law.by_force(), |r: usize| AXIS_NAMES[self.per_axis[r].axis]);
-        each("caps", axes.caps, &|r, value| {
-            let hold = self.per_axis[r].hold;
-            if (0.0..=hold).contains(&value) {
-                return Ok(());
-            }
-            let unit = if by_force && self.per_axis[r].axis < 3 { "N" } else { "N·m" };
+        // Largest cap and adaptation of each axis; NaN for axes that do not yield.
+        let (mut holds, mut etas) = ([f64::NAN; MAX_AXES], [f64::NAN; MAX_AXES]);
+        let max = self.max_adaptation;
+        for axis in self.per_axis.iter().take(self.k).filter(|axis| axis.is_compliant()) {
+            (holds[axis.axis], etas[axis.axis]) = (axis.hold, max.min(1.0_f64.next_down()));
+        }
+        if let Some((axis, value)) = first_invalid(axes.caps, &holds) {
+            let (hold, unit) = (holds[axis], if self.law.by_force() && axis < 3 { "N" } else { "N·m" });
             let bound = format!("[0, {hold}]: the axis holds with {hold} {unit}, see `hold` in the settings");
-            Err(Error::out_of_range(format!("{} [{unit}]", name(r)), value, bound))
-        })?;
-        each("adaptation", axes.adaptation, &|r, value| {
-            let max = self.max_adaptation;
-            if (0.0..1.0).contains(&value) && value <= max {
-                return Ok(());
-            }
+            return Err(invalid_value(axis, value, hold, &format!(" [{unit}]"), bound).in_row("caps", row));
+        }
+        if let Some((axis, value)) = first_invalid(axes.adaptation, &etas) {
             let bound = if max < 1.0 {
                 format!("[0, {max}], the bound while k_p is not known within 10 %")
             } else {
                 "[0, 1)".into()
             };
-            Err(Error::out_of_range(name(r), value, bound))
-        })
+            return Err(invalid_value(axis, value, etas[axis], "", bound).in_row("adaptation", row));
+        }
+        Ok(())
     }
 
     /// Replaces caps and adaptation of the yielding axes by values that [`Params::check_row_axes`] has accepted.
@@ -98,10 +78,32 @@ impl Params {
             }
         }
     }
+}
 
-    /// Returns the task row of this axis; `None` if the axis does not yield or is not in the task.
-    fn row_that_yields(&self, axis: usize) -> Option<usize> {
-        let rows = self.per_axis.iter().take(self.k);
-        rows.enumerate().find(|(_, row)| row.axis == axis && row.is_compliant()).map(|(r, _)| r)
+/// Returns the first axis whose value is not between 0 and its bound in `max`, or is not NaN where the bound is NaN; also
+/// returns the value.
+#[inline(never)]
+fn first_invalid(values: Option<&[f64]>, max: &[f64]) -> Option<(usize, f64)> {
+    for (axis, (&value, &max)) in values?.iter().zip(max).enumerate() {
+        let is_valid = if max.is_nan() { value.is_nan() } else { (0.0..=max).contains(&value) };
+        if !is_valid {
+            return Some((axis, value));
+        }
     }
+    None
+}
+
+/// Returns the error for an invalid value of `axis`, whose bound `max` is NaN if it does not yield.
+#[cold]
+#[inline(never)]
+fn invalid_value(axis: usize, value: f64, max: f64, unit: &str, bound: String) -> Error {
+    let name = AXIS_NAMES[axis];
+    if max.is_nan() {
+        let message = format!(
+            "{value} has no effect, because the settings have no axis {name} that yields: use NaN here, or settings in \
+             which it yields"
+        );
+        return Error::config(name, message);
+    }
+    Error::out_of_range(format!("{name}{unit}"), value, bound)
 }

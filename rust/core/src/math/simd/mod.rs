@@ -54,6 +54,12 @@ use x86::{
 /// and stay there; on some processors, a product with them takes a hundred cycles.
 pub(crate) const NEGLIGIBLE: f64 = 1e-30;
 
+/// Replaces negligibly small numbers by 0.
+#[inline(always)]
+pub(crate) fn flush_subnormals<J: JointVector>(q: J) -> J {
+    J::select_lt(J::abs(q), J::splat(NEGLIGIBLE), J::splat(0.0), q)
+}
+
 /// Number of values in a [`F64x8`], and maximum number of lanes of a register.
 pub(crate) const LANES: usize = 8;
 
