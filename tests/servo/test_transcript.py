@@ -6,6 +6,7 @@ this file as a program to record again, and review the differences.
 
 import math
 import pickle
+from collections import Counter
 from itertools import groupby
 from pathlib import Path
 from types import SimpleNamespace
@@ -61,6 +62,7 @@ class Line:
         memory: Registers by id.
         silent: Ids of servos that do not answer.
         stuck: Registers that keep their values, as pairs of id and name.
+        broken: Ids of servos whose replies are corrupt.
         deaf: Blocks that are not answered, as pairs of id and register at their beginning.
         drift: Counts per reading by which servos without torque move, by id.
         status: Status byte by id.
@@ -71,7 +73,7 @@ class Line:
     def __init__(self, specs, time):
         self.rows = {id: spec.row for spec in specs for id, _ in spec.servos}
         self.memory = {id: bytearray(200) for id in self.rows}
-        self.silent, self.stuck, self.deaf = set(), set(), set()
+        self.silent, self.stuck, self.deaf, self.broken = set(), set(), set(), set()
         self.drift, self.status = {}, {}
         self.errors, self.late, self.timeout = [], 0, 0.0
         self.time, self.requests = time, []
@@ -107,6 +109,8 @@ class Line:
                 raise error
             self.time[0] += self.timeout * (error == "timeout")
             raise BusError("scripted", error, ids[-1])
+        if broken := self.broken.intersection(ids):
+            raise BusError("broken", "corrupt", min(broken))
         deaf = {
             id
             for id, register in self.deaf
@@ -266,7 +270,8 @@ class Session:
         for attribute, value in (
             ("silent", {first.id}),
             ("silent", set(line.memory)),
-            ("errors", ["corrupt"] * 99),
+            ("broken", set(line.memory)),
+            ("broken", {*list(line.memory)[:2]}),
             ("errors", [None] * 3 + ["corrupt"] * 20),
             ("errors", [None, None, "timeout", None, "corrupt"]),
         ):
@@ -475,6 +480,34 @@ def test_a_session_makes_the_recorded_requests(name):
     for i, (line, recorded) in enumerate(zip(lines, expected, strict=False)):
         assert line == recorded, f"line {i + 1}, after {lines[max(i - 4, 0) : i]}"
     assert len(lines) == len(expected)
+
+
+#: Requests of a session over bytes: read, sync read, write, sync write; and their counter.
+COUNTS = {
+    "sts": (51, 20, 15, 14, 101),
+    "xm": (77, 24, 18, 13, 133),
+    "xl430": (86, 24, 18, 26, 155),
+    "ex": (109, 0, 24, 14, 148),
+    "rx": (112, 0, 24, 14, 151),
+    "mx": (103, 0, 15, 14, 133),
+}
+
+
+@pytest.mark.pty
+@pytest.mark.parametrize("kind", COUNTS)
+def test_a_session_over_bytes_makes_the_recorded_number_of_requests(emulated, enabled, kind):
+    with emulated(kind, 3, clock="steps") as (bus, servo_bus):
+        limit = enabled(servo_bus)
+        for i in range(12):
+            servo_bus.read()
+            servo_bus.write(np.full(3, 0.01 * i), limit)
+            servo_bus.poll_status()
+        servo_bus.disable()
+        bus.sync()
+        found = Counter(transaction.instruction for transaction in bus.log)
+        kinds = ("read", "sync_read", "write", "sync_write")
+        counts = (*(found[name] for name in kinds), servo_bus.counters["transactions"])
+        assert counts == COUNTS[kind]
 
 
 if __name__ == "__main__":
