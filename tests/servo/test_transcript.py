@@ -21,7 +21,9 @@ from pliant import ConfigError, ServoError
 from pliant.drive import ServoStatus
 from pliant.emulator import MODELS as EMULATED
 from pliant.servo import BusError, ServoBus, ServoSpec, _enable, _port
+from pliant.servo import scan as scanning
 from pliant.servo._transactions import TransactionGuard
+from pliant.servo.eeprom import RegisterChange, plan_restore, plan_setup, set_id, write_changes
 
 #: Number of requests of a call that are recorded; of further ones, count and checksum are.
 MOST = 44
@@ -47,7 +49,7 @@ SESSIONS = {
         ("RX-64", 4, {"sign": -1, "lower": -1.0, "upper": 1.0}),
         ("EX-106+", 5, {}),
     ],
-    "two-ports": [
+    "ports": [
         ("STS3215-7.4V", 1, RANGE),
         ("STS3215-7.4V", 2, {"port": "right"}),
         ("STS3215-7.4V", 3, {"port": "right", "secondary": (4, 1)}),
@@ -117,6 +119,7 @@ class Line:
             if text.startswith(f"@{self.rows[id].family.registers[register].address}+")
         }
         silent = (self.silent | deaf).intersection(ids)
+        silent |= set(ids).difference(self.memory)
         if silent and name not in {"sync_write", "ping"}:
             self.time[0] += self.timeout
             raise BusError("no answer", "timeout", min(silent))
@@ -133,6 +136,8 @@ class Line:
         kept = [(name, self.get(id, name)) for stuck, name in self.stuck if stuck == id]
         self.memory[id][address : address + len(data)] = data
         self.put(id, **dict(kept))
+        if (new := self.get(id, "id")) != id:
+            self.memory[new], self.rows[new] = self.memory.pop(id), self.rows.pop(id)
 
     # Methods of `pliant.servo.transport.Transport`.
 
@@ -198,6 +203,7 @@ class Session:
         times = [line.time for line in self.ports.values()]
         total = SimpleNamespace(monotonic=lambda: sum(time[0] for time in times))
         monkeypatch.setattr(_enable, "time", total)
+        monkeypatch.setattr(scanning, "time", SimpleNamespace(perf_counter=clock.now))
         monkeypatch.setattr(
             _port,
             "TransactionGuard",
@@ -218,9 +224,12 @@ class Session:
 
     def call(self, name, *arguments):
         """Call a method of the bus, and record what it returns or raises."""
-        self.lines.append(" ".join([name, *map(shown, arguments)]))
+        method = getattr(self.bus, name) if isinstance(name, str) else name
+        plain = [value for value in arguments if isinstance(value, str | float | int | list)]
+        plain += [value for value in arguments if isinstance(value, np.ndarray)]
+        self.lines.append(" ".join([method.__name__, *map(shown, plain)]))
         try:
-            value = getattr(self.bus, name)(*arguments)
+            value = method(*arguments)
         except (ServoError, ConfigError, KeyboardInterrupt) as error:
             value = f"{type(error).__name__}: {error}"
         for port, line in self.ports.items():
@@ -434,6 +443,51 @@ class Session:
         after = self.count - (request if reason == "gone" else 0)
         return f"{after} {states} {shown(counts)} {' / '.join(dict.fromkeys(errors))}"
 
+    def services(self, request=0, reason=None):
+        """Scan the port and change EEPROM registers, with a failure at one request."""
+        line, (spec, other) = self.line, self.bus.specs[:2]
+        id, row, protocol = spec.id, spec.row, spec.row.family.protocol
+        guard = TransactionGuard(line, protocol, baudrate=57_600, clock=lambda: line.time[0])
+        line.errors = [None] * request + [reason]
+        line.late = 2
+        self.call(self.scan, range(6))
+        for values in ({}, {"mode": 7, "drive_mode": 15, "position_min": 4095}):
+            line.put(id, return_level=0, shadow_id=9, **values)
+            line.put(id, position_max=4095)
+            plan = self.call(plan_setup, guard, "j0", id, row)
+            if isinstance(plan, list):
+                self.call(write_changes, guard, row.family, plan)
+                undo = self.call(plan_restore, guard, "j0", id, row, plan)
+                self.call(plan_restore, guard, "j1", id, row, plan)
+                line.stuck = {(id, "return_level")}
+                if isinstance(undo, list):
+                    self.call(write_changes, guard, row.family, undo)
+                line.stuck = set()
+        self.call(plan_setup, guard, "j1", other.id, row)
+        for old, new in ((id, other.id), (78, id), (id, 77), (77, id)):
+            self.call(set_id, guard, "j0", row, old, new)
+        line.put(id if id in line.memory else 77, torque_enable=1)
+        self.call(set_id, guard, "j0", row, id, 77)
+        self.call(write_changes, guard, row.family, [RegisterChange("j0", id, "id", 1, 2, "")])
+        results = [text for text in self.lines if text.startswith("= ")]
+        errors = [text[2:50] for text in results if "Error: " in text[:20]]
+        checksum = crc32("\n".join(results).encode())
+        return f"{self.count} {checksum:08x} {' / '.join(dict.fromkeys(errors))}"
+
+    def scan(self, ids):
+        line = self.line
+
+        def transport(_, baudrate, protocol):
+            is_ours = (baudrate, protocol) == (57_600, self.bus.specs[0].row.family.protocol)
+            line.silent = set() if is_ours else set(ids)
+            return line
+
+        rates = (1_000_000, 57_600)
+        try:
+            return scanning.scan("left", baudrates=rates, ids=ids, transport=transport)
+        finally:
+            line.silent = set()
+
 
 def shown(value):
     """Return a text of a value that does not depend on the rounding of its last digits."""
@@ -448,6 +502,10 @@ def shown(value):
         return "; ".join(shown(getattr(value, name)) for name in ("position", "ok", "time"))
     if isinstance(value, ServoStatus):
         return f"{value.name} {value.voltage} {value.temperature} {' | '.join(value.faults)}"
+    if isinstance(value, RegisterChange):
+        return f"{value.joint} {value.register} {value.old} {value.new} {value.why} {value.model}"
+    if isinstance(value, scanning.ScannedServo):
+        return f"{value.baudrate} {value.protocol} {value.id} {value.number} {value.note}"
     if isinstance(value, bool | np.bool_):
         return str(int(value))
     return str(value)
@@ -455,13 +513,18 @@ def shown(value):
 
 def make(name):
     """Return the lines of a recording: a session, or short ones with a failure at each request."""
+    kind, *rest = name.split("-")
     with pytest.MonkeyPatch.context() as patch:
-        if name in SESSIONS:
-            return "\n".join(Session(name, patch).play()).splitlines()
-        name, reason = name.rsplit("-", 1)
-        count = Session(name, patch).short(0, None)
+        if not rest:
+            return "\n".join(Session(kind, patch).play()).splitlines()
+        if rest == ["services"]:
+            session = Session(kind, patch)
+            session.services()
+            return session.lines
+        method = "services" if "services" in rest else "short"
+        count = getattr(Session(kind, patch), method)(0, None)
         requests = range(int(count.split()[0]))
-        results = [Session(name, patch).short(request, reason) for request in requests]
+        results = [getattr(Session(kind, patch), method)(k, rest[-1]) for k in requests]
         # Equal results of successive requests make one line.
         runs = [[*run] for _, run in groupby(requests, results.__getitem__)]
         return [f"{run[0]} to {run[-1]}: {results[run[0]]}" for run in runs]
@@ -469,7 +532,10 @@ def make(name):
 
 RECORDINGS = [
     *SESSIONS,
+    *(f"{name}-services" for name in ("feetech", "protocol1", "protocol2")),
     *(f"{name}-{reason}" for name in ("feetech", "protocol2") for reason in ("gone", "timeout")),
+    *(f"protocol1-services-{reason}" for reason in ("gone", "corrupt")),
+    "feetech-services-timeout",
 ]
 
 
