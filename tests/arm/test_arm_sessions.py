@@ -32,6 +32,7 @@ class Recorder:
 
     def __init__(self, name, calls):
         self._name, self._calls = name, calls
+        calls.append((name,))
 
     def __getattr__(self, name):
         def call(*arguments, **options):
@@ -91,14 +92,17 @@ class Statics:
 
     def read(self):
         self.wait_until(self.time + self.cost)
-        before, self.last = self.last, list(self.heartbeat)
-        self.beats += before[0] != self.last[0]
-        if before[1] != self.last[1]:
-            self.calls.append(("timeout", self.last[1]))
+        self.note_heartbeat()
         if self.errors and (error := self.errors.pop(0)) is not None:
             raise error
         position = np.where(self.silent, 9.0, np.round(self.q / 0.0015) * 0.0015)
         return JointReadings(position, ~self.silent, self.time)
+
+    def note_heartbeat(self):
+        before, self.last = self.last, list(self.heartbeat)
+        self.beats += before[0] != self.last[0]
+        if before[1] != self.last[1]:
+            self.calls.append(("timeout", self.last[1]))
 
     def write(self, goal, limit, velocity=None):
         speeds = [] if velocity is None else np.minimum(velocity, 9.0)
@@ -113,6 +117,7 @@ class Statics:
         self.goal, self.limit, self.on = goal + lead, limit.copy(), np.ones(6, dtype=bool)
 
     def disable(self, names):
+        self.note_heartbeat()
         self.calls.append((f"disable {' '.join(names)}",))
         self.on = self.on & ~np.isin(self.names, names)
 
@@ -317,7 +322,9 @@ def play(name):
     texts, post = [], MESSAGES.post
 
     def record(text, level=logging.INFO, *, progress=False):
-        texts.append(["progress" if progress else text.replace(str(os.getpid()), "PID"), level])
+        # Messages about the progress depend on the time that the computer takes.
+        if not progress:
+            texts.append([text.replace(str(os.getpid()), "PID"), level])
         return post(text, level, progress=progress)
 
     with pytest.MonkeyPatch.context() as patch:
