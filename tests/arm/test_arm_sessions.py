@@ -1,6 +1,7 @@
 """What arms send to a drive in whole sessions, compared with recorded calls.
 
-`python tests/arm/test_arm_sessions.py` records again, after a change that was meant.
+`PYTHONPATH=tests python tests/arm/test_arm_sessions.py` records again, after a change that was
+meant.
 """
 
 import json

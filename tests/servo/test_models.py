@@ -163,6 +163,13 @@ def test_models_have_the_numbers_of_their_data_sheets(line):
         assert gears == pytest.approx(IDENTIFIED.get(name, estimate))
 
 
+def test_a_zero_with_a_sign_is_zero():
+    family = get_model("STS3215-7.4V").family
+    block = family.block("goal")
+    assert family.layout(block).decode(b"\x00\x80") == {"goal": 0}
+    assert family.decode(block, b"\x00\x80", "goal") == 0
+
+
 def test_registers_of_the_drive_and_blocks_of_readings():
     compliance = {"margin_cw": 1, "margin_ccw": 1, "slope_ccw": "gain"}
     for name, values, first, last in (

@@ -374,6 +374,10 @@ class Session:
             line.drift = {first.id: drift}
             self.call("enable", bus.read().position, [0.25] * n)
         line.drift = {}
+        # A servo refuses all packets.
+        line.status = {first.id: 4 if first.row.family.status == "p2" else 8}
+        self.call("enable", bus.read().position, [0.25] * n)
+        line.status = {}
         line.errors = [None] * 60 + [KeyboardInterrupt("signal")]
         self.call("enable", bus.read().position, [0.25] * n)
         line.errors = []
