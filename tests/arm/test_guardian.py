@@ -554,6 +554,23 @@ def test_time_in_which_the_guardian_did_not_run_does_not_count(monkeypatch):
     assert beats.checks(50.0, period=10.0) is not None
 
 
+def test_a_message_of_the_program_ends_its_silence_and_its_stop(monkeypatch):
+    for is_stopped, limit, name in ((False, 0.6, "silent"), (True, 0.0, "stopped")):
+        beats = Beats(monkeypatch)
+        beats.heartbeat[1], beats.is_stopped = limit, is_stopped
+        for _ in range(3):
+            beats.program.restart()
+            assert beats.checks(1.4) is None
+        # A restart counts time from now on, and the heartbeat at that time is not a new one.
+        beats.heartbeat[0] += 1.0
+        beats.now += 100.0
+        beats.program.restart()
+        problem, after = beats.checks(60.0)
+        assert f"was {name} for 1." in problem
+        assert after < 1.8
+    assert beats.program.sentinels == [beats.program._end]
+
+
 class Watched:
     """Program whose guardian's calls are simulated: it ends or hangs after some checks.
 

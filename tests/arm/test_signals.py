@@ -214,6 +214,14 @@ def test_a_pending_signal_is_raised_after_the_last_descent(
         code = getattr(caught.value, "code", "interrupt")
         assert code == expected
     assert (registry.pending, arm.stopped) == (None, False)
+    # In another thread, the process gets the signal instead.
+    number = expected - 128 if isinstance(expected, int) else expected and signal.SIGINT
+    sent = []
+    monkeypatch.setattr(_signals.os, "kill", lambda *arguments: sent.append(arguments))
+    thread = threading.Thread(target=deliver)
+    thread.start()
+    thread.join()
+    assert sent == ([] if number is None else [(os.getpid(), number)])
     other.leaving = True
     deliver()
     assert (registry.pending, arm.stopped) == (pending, stopped)

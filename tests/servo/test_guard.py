@@ -219,6 +219,18 @@ def test_a_servo_that_was_silent_for_long_is_asked_again(fake_bus):
     assert guard.read(1, SHORT).block == SHORT
 
 
+def test_a_servo_with_missing_replies_of_all_lengths_is_not_asked(fake_bus):
+    bus = fake_bus([1])
+    guard = guarded(bus)
+    guard._pending.add([1], SHORT.size, bus.now)
+    for size in range(1, 13):
+        guard._pending.add([1], size, bus.now)
+    with pytest.raises(BusError, match="too many answers missing") as error:
+        guard.read(1, SHORT, again=False)
+    assert error.value.reason == "late"
+    assert not requests(bus)
+
+
 def test_a_reading_of_another_length_settles_an_outstanding_one(fake_bus):
     bus = fake_bus([1])
     guard = guarded(bus)

@@ -7,7 +7,7 @@ import pytest
 
 from pliant import ServoError
 from pliant.emulator import Device, Emulator, Timing
-from pliant.servo import BusError, ServoBus, ServoSpec
+from pliant.servo import BusError, ServoBus, ServoSpec, transport
 from pliant.servo import _device as driver
 from pliant.servo._handshake import (
     RegisterImage,
@@ -156,9 +156,11 @@ def test_an_inverted_joint_of_a_calibration_file_is_noted(model, drive_mode, num
     assert ["drive_mode 1" in note for note in notes] == [True] * has_note
 
 
-def test_a_port_that_is_not_there():
+@pytest.mark.parametrize(("ports", "shown"), [([], "none: is the"), (["a", "b"], "a, b$")])
+def test_a_port_that_is_not_there(monkeypatch, ports, shown):
+    monkeypatch.setattr(transport, "serial_ports", lambda: ports)
     servo_bus = ServoBus([ServoSpec(port="/dev/ttyNOWHERE", **PAN)])
-    with pytest.raises(ServoError, match="there is no port /dev/ttyNOWHERE; there are:"):
+    with pytest.raises(ServoError, match=f"no port /dev/ttyNOWHERE; there are: {shown}"):
         servo_bus.open()
 
 

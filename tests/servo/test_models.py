@@ -82,9 +82,111 @@ SCATTERS = {
 }
 TWINS = {"STS3215-7.4V-191": "STS3215-C044", "STS3215-7.4V-147": "STS3215-C046"}
 
+#: Data sheets: name, number, current unit [A], largest current register, current at stall
+#: [A], rated voltage and supply range [V]; then voltage [V], stall torque [N·m], speed [rpm].
+DATA_SHEETS = """
+STS3215-7.4V 777 0.0065 0 - 7.4 4.0 8.4 | 7.4 1.9123 52
+STS3215-12V 777 0.0065 0 - 12 6.0 12.6 | 12 2.9420 45
+EX-106+ 107 0 0 - 14.8 12 18.5 | 18.5 10.9 91
+RX-64 64 0 0 - 14.8 12 18.5 | 18.5 5.3 64
+MX-28 29 0 0 - 12 10 14.8 | 11.1 2.3 50 | 12 2.5 55 | 14.8 3.1 67
+MX-64 310 0 0 - 12 10 14.8 | 11.1 5.5 58 | 12 6.0 63 | 14.8 7.3 78
+MX-106 320 0 0 - 12 10 14.8 | 11.1 8.0 41 | 12 8.4 45 | 14.8 10.0 55
+MX-64(2.0) 311 0.00336 1941 4.1 12 10 14.8 | 11.1 5.5 58 | 12 6.0 63 | 14.8 7.3 78
+MX-106(2.0) 321 0.00336 2047 5.2 12 10 14.8 | 11.1 8.0 41 | 12 8.4 45 | 14.8 10.0 55
+XL330-M077 1190 0.001 1750 1.47 5 3.7 6.0 | 3.7 0.18 278 | 5 0.215 383 | 6 0.228 456
+XL330-M288 1200 0.001 1750 1.47 5 3.7 6.0 | 3.7 0.42 76 | 5 0.52 103 | 6 0.60 123
+XC330-T181 1210 0.001 910 0.80 11.1 6.5 12 | 9 0.65 83 | 11.1 0.76 104 | 12 0.80 113
+XC330-T288 1220 0.001 910 0.80 11.1 6.5 12 | 9 0.76 52 | 11.1 0.92 65 | 12 1.00 71
+XM430-W210 1030 0.00269 1193 2.3 12 10 14.8 | 11.1 2.7 70 | 12 3.0 77 | 14.8 3.7 95
+XM430-W350 1020 0.00269 1193 2.3 12 10 14.8 | 11.1 3.8 43 | 12 4.1 46 | 14.8 4.8 57
+XM540-W150 1130 0.00269 2047 4.4 12 10 14.8 | 11.1 6.9 50 | 12 7.3 53 | 14.8 8.9 66
+XM540-W270 1120 0.00269 2047 4.4 12 10 14.8 | 11.1 10.0 28 | 12 10.6 30 | 14.8 12.9 37
+XH430-W210 1010 0.00269 648 1.3 12 10 14.8 | 11.1 2.2 46 | 12 2.5 50 | 14.8 3.1 62
+XH430-W350 1000 0.00269 648 1.3 12 10 14.8 | 11.1 3.1 27 | 12 3.4 30 | 14.8 4.2 37
+XH540-W150 1110 0.00269 2047 4.9 12 10 14.8 | 11.1 6.6 66 | 12 7.1 70 | 14.8 8.5 86
+XH540-W270 1100 0.00269 2047 4.9 12 10 14.8 | 11.1 9.2 36 | 12 9.9 39 | 14.8 11.7 46
+XL430-W250 1060 0 0 - 11.1 6.5 12 | 9 1.0 47 | 11.1 1.4 57 | 12 1.5 61
+XC430-W150 1070 0 0 - 12 6.5 14.8 | 9 1.2 80 | 11.1 1.4 99 | 12 1.6 106
+XC430-W240 1080 0 0 - 12 6.5 14.8 | 9 1.4 52 | 11.1 1.7 65 | 12 1.9 70
+"""
+#: Per family: status code, sync read, full duty and load, largest speed cap, ceiling; motor duty
+#: per radian and unit of the gain, unit of speed [rpm], share of the torque that overloads.
+FAMILIES = {
+    "STS3215": ("feetech", True, 1000, 1000, 3400, "max_torque", 0.166, 60 / 4096, 0.8),
+    "EX-106+": ("p1", False, 1023, 1023, 1023, "max_torque", 0.0, 0.111, None),
+    "RX-64": ("p1", False, 1023, 1023, 1023, "max_torque", 0.0, 0.111, None),
+    "MX-28, MX-64": ("p1", False, 1023, 1023, 1023, "max_torque", 0.158, 0.114, None),
+    "MX-106": ("p1", False, 1023, 1023, 1023, "max_torque", 0.158, 0.114, None),
+    "X, current-limited": ("p2", True, 885, 1000, 32767, "current_limit", 0.005755, 0.229, None),
+    "X, duty-limited": ("p2", True, 885, 1000, 32767, "pwm_limit", 0.005755, 0.229, None),
+}
+#: Identified friction [N·m], damping [N·m·s/rad] and inertia [kg·m²] of gears and rotor.
+IDENTIFIED = {
+    "STS3215-7.4V": (0.052, 0.059, 0.028),
+    "STS3215-12V": (0.052, 0.059, 0.028),
+    "MX-64(2.0)": (0.090, 0.012, 0.012),
+    "MX-106(2.0)": (0.104, 0.035, 0.027),
+    "XL330-M288": (0.013, 0.0037, 0.0018),
+}
+
 
 def emulated(name):
     return EMULATED[TWINS.get(name, name)]
+
+
+@pytest.mark.parametrize(
+    "line", DATA_SHEETS.strip().splitlines(), ids=lambda line: line.partition(" ")[0]
+)
+def test_models_have_the_numbers_of_their_data_sheets(line):
+    head, *points = line.split(" | ")
+    name, *words = head.split()
+    expected = [np.nan if word == "-" else float(word) for word in words]
+    row = get_model(name)
+    numbers = [row.model_number, row.current_unit, row.current_max, row.stall_current, row.rated]
+    assert [*numbers, *row.voltage] == pytest.approx(expected, rel=1e-9, nan_ok=True)
+    volts, stall, speed = np.array([point.split() for point in points], dtype=float).T
+    for table, values in ((row.stall, stall), (row.no_load, speed)):
+        assert table == pytest.approx(np.transpose([volts, values]), rel=1e-4)
+    units = Units.of(ServoSpec(name="j", model=name, id=1, port="p"), volts[0])
+    assert units.no_load_speed == pytest.approx(speed[0] * np.pi / 30.0)
+    family = row.family
+    *texts, gain, unit, overload = FAMILIES[family.name]
+    sizes = (family.full_duty, family.full_load, family.speed_max)
+    assert [family.status, family.sync_read, *sizes, family.ceiling] == texts
+    assert (row.gain, row.speed_unit) == pytest.approx((gain, unit), rel=1e-3)
+    assert row.overload == overload
+    gears = [getattr(row.mechanics, field) for field in ("friction", "damping", "armature")]
+    if name in IDENTIFIED or family.name == "X, current-limited":
+        largest = float(np.interp(row.rated, volts, stall))
+        estimate = [0.02 * largest, 0.005 * largest, 0.003 * largest]
+        assert gears == pytest.approx(IDENTIFIED.get(name, estimate))
+
+
+def test_a_zero_with_a_sign_is_zero():
+    family = get_model("STS3215-7.4V").family
+    block = family.block("goal")
+    assert family.layout(block).decode(b"\x00\x80") == {"goal": 0}
+    assert family.decode(block, b"\x00\x80", "goal") == 0
+
+
+def test_registers_of_the_drive_and_blocks_of_readings():
+    compliance = {"margin_cw": 1, "margin_ccw": 1, "slope_ccw": "gain"}
+    for name, values, first, last in (
+        ("STS3215", {"acceleration_cap": 0}, (56, 15), (0, 71)),
+        ("EX-106+", {**compliance, "punch": 0}, (34, 10), (0, 50)),
+        ("RX-64", {**compliance, "punch": 32}, (34, 10), (0, 50)),
+        ("MX-64", {"acceleration_cap": 0}, (34, 10), (0, 50)),
+        ("MX-106", {"acceleration_cap": 0}, (34, 10), (0, 50)),
+        ("XM430-W350", {"pwm_goal": "pwm_limit"}, (126, 10), (104, 43)),
+        ("XL430-W250", {"acceleration_cap": 0}, (126, 10), (104, 43)),
+    ):
+        family = get_model(name).family
+        assert family.drive_values == values
+        assert (family.read[0], family.read[-1]) == (first, last)
+        assert [block.size for block in family.read] == [*range(first[1], last[1] + 1)]
+        assert all(block.address <= first[0] for block in family.read)
+        assert all(sum(block) >= sum(first) for block in family.read)
 
 
 def test_the_supported_models_are_in_the_table():

@@ -262,8 +262,9 @@ class ArmIO:
         # Last reading of all joints.
         self._sample = JointReadings(np.full(size, np.nan), np.zeros(size, dtype=bool), 0.0)
         self._watchdog = 0.0
-        # Times of the last bus access and of the last position received [s].
-        self._last_access = self._last_position = self.clock.now()
+        # Times of the last bus access and of the last position received, since `set_watchdog` [s].
+        self._last_access: float
+        self._last_position: float
         #: Mask (N,) of joints whose torque an ended program may have left on, and that have not
         #: answered yet.
         self.torque_unknown: Mask = np.zeros(size, dtype=bool)

@@ -223,7 +223,7 @@ class _WeightTransfer:
         )
         self._x, self._v = np.zeros(start_q.size), np.zeros(start_q.size)
         # Leads that were found to carry the joints.
-        self._found = self._weight / self._kp if servos.stiffness_known else self._x * np.nan
+        self._found = np.full(start_q.size, np.nan)
 
     def run(self) -> Array:
         """Run the transfer; return the leads as `transfer_weight` does."""

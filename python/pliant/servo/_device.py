@@ -150,7 +150,7 @@ class Device:
         self.tripped, self.trips, self.watchdog = False, 0, 0
         self.index = 0
         self._codec: ServoCodec | None = None
-        self._last_reading = [nan, 0.0, 0.0]
+        self._last_reading = [nan, nan, nan]
         self._last_sent: Sent = (None, 0, 0, b"")
 
     def attach(self, codec: ServoCodec, index: int) -> None:
@@ -437,7 +437,7 @@ class Device:
 
     def accept_any_position(self) -> None:
         """Accept any position at the next reading, because a joint without torque can be moved."""
-        self.codec.accept_any(self.index, nan, 0.0, 0.0)
+        self.codec.accept_any(self.index, nan, nan, nan)
         self.fault("jump", False, "")
 
     def fault(self, key: str, is_wrong: bool, text: str) -> None:

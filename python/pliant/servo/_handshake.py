@@ -168,7 +168,7 @@ def _adapter_note(port: Port) -> str:
     The delay is read from the adapter's latency timer, or measured.
     """
     guard = port.guard
-    if guard.held_back > MIN_HOLD_BACK and guard.held_back > (port.latency or 0.0):
+    if guard.held_back > max(MIN_HOLD_BACK, port.latency or 0.0):
         port.latency = guard.latency = round(guard.held_back, 3)
         return (
             f"every answer on {port.path} comes {guard.held_back * 1e3:.0f} ms later than the wire "

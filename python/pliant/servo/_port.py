@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+from contextlib import suppress
 from math import ceil, inf
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -259,14 +260,15 @@ class Port:
         """
         unknown = self._note_registers(devices, "torque_enable")
         if self._is_armed:
-            armed = [d for d in devices if "watchdog" in d.family.registers]
-            unknown |= self._note_registers(armed, "watchdog")
+            # All servos of the port have Protocol 2.0, and a watchdog.
+            unknown |= self._note_registers(devices, "watchdog")
         self.clear_watchdogs([device for device in devices if device.id not in unknown])
         return unknown
 
     def _note_registers(self, devices: Sequence[Device], name: str) -> set[int]:
         """Read a register of these servos, with one request if possible, and note its values.
 
+        The servos are of one `Group` of readings, so that all have the register at one address.
         Behind an adapter with a latency timer, a request per servo would take longer than a command
         may be old.
 
@@ -274,24 +276,23 @@ class Port:
             Ids of the servos without a reply.
         """
         silent: set[int] = set()
-        groups = _groups(devices, lambda d: (d.family.sync_read, d.family.block(name)), None)
-        for group in groups:
-            block = group.family.block(name)
-            if group.sync_read and len(group.ids) > 1:
-                try:
-                    block, answers, time = self.guard.sync_read(group.ids, block)
-                except BusError as error:
-                    error.raise_if_gone()
-                else:
-                    for device, (data, status) in zip(group.devices, answers, strict=True):
-                        device.note(Reply(block, data, status, time))
-                    continue
-            for device in group.devices:
-                try:
-                    device.note(self.guard.read(device.id, block))
-                except BusError as error:
-                    error.raise_if_gone()
-                    silent.add(device.id)
+        family = devices[0].family
+        block = family.block(name)
+        if family.sync_read and len(devices) > 1:
+            try:
+                block, answers, time = self.guard.sync_read([d.id for d in devices], block)
+            except BusError as error:
+                error.raise_if_gone()
+            else:
+                for device, (data, status) in zip(devices, answers, strict=True):
+                    device.note(Reply(block, data, status, time))
+                return silent
+        for device in devices:
+            try:
+                device.note(self.guard.read(device.id, block))
+            except BusError as error:
+                error.raise_if_gone()
+                silent.add(device.id)
         return silent
 
     def clear_watchdogs(self, devices: Iterable[Device]) -> None:
@@ -551,11 +552,9 @@ class Port:
         due = [device for device in self.devices if self._silent.get(device.id, 1) <= 0]
         for device in due[:1]:
             self._silent[device.id] = PROBE_CYCLES
-            try:
+            # `ServoBus.read` notices a port that is gone.
+            with suppress(BusError):
                 reply = self.guard.read(device.id, *device.family.read, again=False)
-            except BusError as error:
-                error.raise_if_gone()
-            else:
                 del self._silent[device.id]
                 self._accept([(device, reply)], accepted)
 
