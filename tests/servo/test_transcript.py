@@ -26,7 +26,7 @@ from pliant.servo._transactions import TransactionGuard
 from pliant.servo.eeprom import RegisterChange, plan_restore, plan_setup, set_id, write_changes
 
 #: Number of requests of a call that are recorded; of further ones, count and checksum are.
-MOST = 44
+MOST = 12
 FOLDER = Path(__file__).parents[1] / "data" / "transcripts"
 RANGE = {"lower": -1.2, "upper": 1.1}
 #: Joints of each session: model, id, and further attributes of `ServoSpec`.
@@ -70,6 +70,7 @@ class Line:
         status: Status byte by id.
         errors: Reasons of errors of the next requests, or exceptions; None: no error.
         late: Number of drains that find bytes on the line.
+        last: Time of the last request [s]; each is recorded with the time since the one before it.
     """
 
     def __init__(self, specs, time):
@@ -78,7 +79,7 @@ class Line:
         self.silent, self.stuck, self.deaf, self.broken = set(), set(), set(), set()
         self.drift, self.status = {}, {}
         self.errors, self.late, self.timeout = [], 0, 0.0
-        self.time, self.requests = time, []
+        self.time, self.last, self.requests = time, 0.0, []
         for id, row in self.rows.items():
             table = EMULATED[row.name if row.name in EMULATED else "STS3215-C044"].table
             initial = {register.address: register.initial for register in table}
@@ -104,7 +105,8 @@ class Line:
 
     def request(self, name, ids, text):
         what = f"{name} {' '.join(map(str, ids))} {text}".rstrip()
-        self.requests.append(f"  {1e3 * self.time[0]:.2f} {1e3 * self.timeout:.2f} {what}")
+        passed, self.last = self.time[0] - self.last, self.time[0]
+        self.requests.append(f"  {1e3 * passed:.2f} {1e3 * self.timeout:.2f} {what}")
         self.time[0] += 0.0005
         if self.errors and (error := self.errors.pop(0)) is not None:
             if isinstance(error, BaseException):
@@ -503,7 +505,8 @@ def shown(value):
     if isinstance(value, dict):
         return ", ".join(f"{k} {shown(v)}" for k, v in value.items())
     if hasattr(value, "position"):
-        return "; ".join(shown(getattr(value, name)) for name in ("position", "ok", "time"))
+        ages = value.time.max() - value.time
+        return f"{shown(value.position)}; {shown(value.ok)}; {shown(ages)}"
     if isinstance(value, ServoStatus):
         return f"{value.name} {value.voltage} {value.temperature} {' | '.join(value.faults)}"
     if isinstance(value, RegisterChange):
