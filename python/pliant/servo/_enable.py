@@ -372,9 +372,9 @@ def _check_state(device: Device, ports: Ports, goal: Sequence[float]) -> Registe
             f"{device.name} is at {start:.2f} rad and not at {expected:.2f}: enable it with its "
             "present position as goal, and move it afterwards"
         )
-    text = range_error(device)
-    if text is not None and not image["torque_enable"]:
-        raise ServoError(text)
+    error = range_error(device)
+    if error is not None and not image["torque_enable"]:
+        raise ServoError(error)
     return image
 
 

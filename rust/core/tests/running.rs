@@ -211,8 +211,8 @@ fn a_payload_that_would_throw_a_running_arm_is_rejected() {
     let (_, mut controller, target) = make(Settings::default());
     let payload = |mass| Payload { mass, com: [0.0; 3] };
     // The heaviest that a controller accepts before its first step, because the servos hold it in some pose.
-    let loads = (1..30).map(|mass| payload(f64::from(mass)));
-    let heaviest = &loads.filter(|load| make(Settings::default()).1.set_payload(Some(load)).is_ok()).last().unwrap();
+    let mut loads = (1..30).map(|mass| payload(f64::from(mass)));
+    let heaviest = &loads.rfind(|load| make(Settings::default()).1.set_payload(Some(load)).is_ok()).unwrap();
     controller.step(&Q, &target, &StepInput::default()).unwrap();
     let before = controller.snapshot();
     let error = controller.set_payload(Some(heaviest)).unwrap_err().to_string();
