@@ -79,7 +79,7 @@ def pytest_configure() -> None:
 def real_time_priority():
     """Return a context in which this thread has a real-time priority; skip where it may not."""
     import pliant
-    from pliant._priority import real_time_priority
+    from pliant._processes import real_time_priority
 
     try:
         with real_time_priority(5):

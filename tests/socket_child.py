@@ -9,7 +9,7 @@ import os
 import socket
 import sys
 
-from pliant._child import take_socket
+from pliant._processes import take_socket
 
 number, other = map(int, sys.argv[1:])
 handle = take_socket(number)

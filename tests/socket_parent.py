@@ -4,7 +4,7 @@ import socket
 import sys
 import time
 
-from pliant._child import start_module, take_socket
+from pliant._processes import start_module, take_socket
 
 with socket.socket(fileno=take_socket(int(sys.argv[1]))) as pipe:
     process = start_module("socket_child", pipe, "9999")

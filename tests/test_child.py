@@ -1,4 +1,4 @@
-"""Child processes that share a socket with the program: `pliant._child`."""
+"""Child processes that share a socket with the program: `pliant._processes`."""
 
 import os
 import signal
@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from pliant._child import start_module
+from pliant._processes import start_module
 
 POSIX = os.name == "posix"
 

@@ -13,8 +13,8 @@ from experiments.pictures import CANNOT_DRAW, Studio
 from experiments.poses import AXES, arm, tool
 from experiments.report import Chapter, Figure, Numbers, Statement, at_least, at_most, band
 from experiments.runner import Job
+from pliant._report import listed
 from pliant._report.style import BLUE, MUTED, WIDE, canvas, save
-from pliant._report.words import listed
 from pliant.sim import Plant
 from pliant.sim.postures import HORIZONTAL, VERTICAL
 

@@ -18,9 +18,9 @@ from experiments.poses import arm, tool
 from experiments.report import Chapter, Figure, Numbers, Statement, at_least, at_most, band, between
 from experiments.runner import Job
 from experiments.simulation import NOMINAL
+from pliant._report import listed
 from pliant._report.page import Table
 from pliant._report.style import INK, MUTED, WIDE, canvas, label_end, level, save, thin
-from pliant._report.words import listed
 from pliant.sim import Plant
 
 if TYPE_CHECKING:

@@ -23,6 +23,7 @@ from experiments.report import (
     mm,
 )
 from experiments.runner import Job
+from pliant._report import listed
 from pliant._report.page import Table
 from pliant._report.style import (
     BLUE,
@@ -36,7 +37,6 @@ from pliant._report.style import (
     save,
     thin,
 )
-from pliant._report.words import listed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence

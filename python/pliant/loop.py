@@ -21,7 +21,7 @@ from pliant._core import (
     ServoFaultError,
     ServoTimeoutError,
 )
-from pliant._priority import check_real_time_priority, real_time_priority
+from pliant._processes import check_real_time_priority, real_time_priority
 from pliant._validation import format_value, real
 from pliant.arm._checks import check_same_robot, longest_command_age, vector
 

@@ -9,7 +9,7 @@ import pytest
 from experiments.chapters import common
 from experiments.report import Check, Statement, Verdict, at_least, at_most, between, mm, near
 from experiments.runner import Job, run_by_key
-from pliant._report.words import listed
+from pliant._report import listed
 
 
 def test_a_check_includes_its_bounds_and_fails_for_non_finite_numbers():

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant._report.words import listed
+from pliant._report import listed
 
 if TYPE_CHECKING:
     from pliant._core import Axis

@@ -12,10 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pliant._child import child_options
 from pliant._core import ConfigError, Controller, __version__
 from pliant._files import check_output
-from pliant._priority import end_real_time_priority
+from pliant._processes import child_options, end_real_time_priority
 from pliant._validation import format_value, instance
 from pliant.arm._checks import check_same_robot
 from pliant.log import frames, layout, serialization

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pliant._files import replacing
-from pliant._priority import lower_priority
+from pliant._processes import lower_priority
 from pliant._ros_messages import (
     DEFINITIONS,
     JOINT_STATE,

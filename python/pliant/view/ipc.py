@@ -20,8 +20,8 @@ from multiprocessing.connection import Connection
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any, Self
 
-from pliant._child import start_module, take_socket
 from pliant._core import PliantError
+from pliant._processes import start_module, take_socket
 from pliant.view.messages import Edit, Message, Queue
 
 if TYPE_CHECKING:

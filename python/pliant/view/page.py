@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import viser
 from viser._messages import GuiUpdateMessage
 
-from pliant._priority import lower_priority
+from pliant._processes import lower_priority
 from pliant.view.auth import TokenAuth
 from pliant.view.ipc import PageEndpoint, Ready, StartupError
 from pliant.view.messages import LetGo

@@ -10,7 +10,7 @@ import tyro
 from rich.console import Console
 
 from pliant._core import ConfigError
-from pliant._priority import raise_priority
+from pliant._processes import raise_priority
 from pliant.cli._flags import ArmName, FileFlags, Seconds, check_duration
 from pliant.emulator import Faults, JointHand, Timing, ranges, wave
 

@@ -158,7 +158,7 @@ impl Controller {
         mut state: Option<&mut BatchState>,
         out: BatchCommand<'_>,
     ) -> Result<()> {
-        let (n, simd_level, batch) = (self.params.n, self.simd_level, self.batch(input));
+        let (n, batch) = (self.params.n, self.batch(input));
         let count = batch.check(&out)?;
         let dt = self.period(input.dt)?;
         let changed =
@@ -186,7 +186,7 @@ impl Controller {
             };
             let is_ready = match RowStatus::of(row, n) {
                 RowStatus::Running => {
-                    arm.state.read_from(simd_level, n, row);
+                    arm.state.read_from(n, row);
                     true
                 }
                 RowStatus::New => arm.reset(one.q).is_ok(),
@@ -198,7 +198,7 @@ impl Controller {
             if !(is_ready && arm.step_row(one, dt, false, out)) {
                 return false;
             }
-            arm.state.write_to(simd_level, n, row);
+            arm.state.write_to(n, row);
             true
         };
         batch.run(is_checked, rows, out, make, step)?;
@@ -349,7 +349,7 @@ impl Controller {
     pub fn snapshot(&self) -> Snapshot {
         let n = self.params.n;
         let mut state = vec![0.0; if self.state.started { row_len(n) } else { 0 }];
-        self.state.clone().write_to(self.simd_level, n, &mut state);
+        self.state.clone().write_to(n, &mut state);
         Snapshot {
             payload: self.payload,
             gravity: self.gravity,
@@ -385,7 +385,7 @@ impl Controller {
         controller.set_delay(snapshot.delay)?;
         snapshot.validate_state(n)?;
         if !snapshot.state.is_empty() {
-            controller.state.read_from(controller.simd_level, n, &snapshot.state);
+            controller.state.read_from(n, &snapshot.state);
         }
         if let Some(payload_ramp) = snapshot.payload_ramp {
             controller.payload_ramp = Some(PayloadRamp::resume(payload_ramp, &controller.masses));

@@ -2,7 +2,7 @@
 
 use crate::batch::state::{Flag, row_len};
 use crate::kinematics::velocity_filter::VelocityFilter;
-use crate::math::simd::{Isa, JointVec16, JointVector, Kernel, LANES, SimdLevel};
+use crate::math::simd::{BaselineF64x8, JointVec16, JointVector, LANES};
 use crate::math::singular_values::SingularValues;
 use crate::pose::Pose;
 use crate::task::reference_governor::ReferenceGovernor;
@@ -111,24 +111,6 @@ struct Read<'a> {
     row: &'a [f64],
 }
 
-impl Kernel for Write<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<M: Isa>(self) {
-        if self.n <= LANES { self.write::<LANES>() } else { self.write_large() }
-    }
-}
-
-impl Kernel for Read<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<M: Isa>(self) {
-        if self.n <= LANES { self.read::<M::F64x8>() } else { self.read_large() }
-    }
-}
-
 impl Write<'_> {
     /// Writes a state with more than [`LANES`] joints; compiled once for all instruction sets.
     #[inline(never)]
@@ -205,12 +187,14 @@ impl Read<'_> {
 
 impl State {
     /// Writes the state of an arm of `n` joints into `row`, whose length is that of `row_len`.
-    pub(crate) fn write_to(&mut self, simd_level: SimdLevel, n: usize, row: &mut [f64]) {
-        simd_level.dispatch_narrow(Write { state: self, n, row });
+    pub(crate) fn write_to(&mut self, n: usize, row: &mut [f64]) {
+        let write = Write { state: self, n, row };
+        if n <= LANES { write.write::<LANES>() } else { write.write_large() }
     }
 
     /// Reads the state of an arm of `n` joints from `row`, which [`State::write_to`] has written.
-    pub(crate) fn read_from(&mut self, simd_level: SimdLevel, n: usize, row: &[f64]) {
-        simd_level.dispatch_narrow(Read { state: self, n, row });
+    pub(crate) fn read_from(&mut self, n: usize, row: &[f64]) {
+        let read = Read { state: self, n, row };
+        if n <= LANES { read.read::<BaselineF64x8>() } else { read.read_large() }
     }
 }

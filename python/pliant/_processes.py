@@ -1,12 +1,17 @@
-"""Priorities of processes and threads: lower in the background, real-time for the control loop."""
+"""Child processes, and priorities of processes and threads.
+
+Priorities are lower in the background, and real-time for the control loop.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import os
+import socket
+import subprocess
 import sys
 import threading
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from pliant._core import ConfigError
 
@@ -104,3 +109,37 @@ def real_time_priority(priority: int | None) -> Iterator[None]:
         yield
     finally:
         os.sched_setscheduler(thread, *former)
+
+
+def child_options() -> dict[str, Any]:
+    """Return arguments of `subprocess.Popen` for a process that Ctrl-C does not reach."""
+    if sys.platform == "win32":
+        return {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
+    return {"start_new_session": True}
+
+
+def start_module(module: str, shared: socket.socket, *arguments: str) -> subprocess.Popen[bytes]:
+    """Start ``python -m MODULE NUMBER ARGUMENTS``; `take_socket` opens the socket by its number.
+
+    Ctrl-C does not reach the process; its standard output is discarded.
+    """
+    number = shared.fileno()
+    command = [sys.executable, "-m", module, str(number), *arguments]
+    options = child_options() | {"stdout": subprocess.DEVNULL}
+    if sys.platform != "win32":
+        child = subprocess.Popen(command, stdin=subprocess.DEVNULL, pass_fds=(number,), **options)
+        end_real_time_priority(child.pid)
+        return child
+    # Windows does not promise that a process can use an inherited socket.
+    process = subprocess.Popen(command, stdin=subprocess.PIPE, **options)
+    with contextlib.suppress(OSError), process.stdin:
+        process.stdin.write(shared.share(process.pid))
+    return process
+
+
+def take_socket(number: int) -> int:
+    """Return, in a process of `start_module`, the handle of the socket, private to this process."""
+    if sys.platform == "win32":
+        return socket.fromshare(sys.stdin.buffer.read()).detach()
+    os.set_inheritable(number, False)
+    return number
