@@ -1,4 +1,4 @@
-"""What arms send to a drive in whole sessions, compared with recorded calls.
+"""Calls of an arm to its drive in whole sessions, compared with recorded calls.
 
 `PYTHONPATH=tests python tests/arm/test_arm_sessions.py` records again, after a change that was
 meant.
