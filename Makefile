@@ -102,15 +102,15 @@ check: setup lint ## Lints and unit tests, under two minutes once built
 # releases each for itself: lints and tests of the core run beside them, each chain in its order. pytest comes last,
 # alone, because emulated buses run in real time; its closing line is the one that counts.
 test: $(BIN)/python ## Everything that CI runs
-	@$(MAKE) --no-print-directory --jobs=2 $(if $(filter output-sync,$(.FEATURES)),--output-sync=target) SIDE_BY_SIDE=1 test-rust wheel deny
+	@$(MAKE) --no-print-directory --jobs=2 $(if $(filter output-sync,$(.FEATURES)),--output-sync=target) SIDE_BY_SIDE=1 test-rust wheel deny docs
 	@$(MAKE) --no-print-directory test-py
 
 ifdef SIDE_BY_SIDE
 test-rust: | lint-rust
 lint-py: | stubs
 counts-check: | lint-py
-docs: | counts-check
-$(WHEELS)/.built: | docs
+$(WHEELS)/.built: | counts-check
+docs: | test-rust
 endif
 
 # The packages whose targets are tested: none that links Python.

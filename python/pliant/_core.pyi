@@ -2044,20 +2044,37 @@ class Controller:
         """
 
     def update(self, settings: Settings) -> None:
-        """Replace the settings while running; the goals continue from their present values."""
+        """Replace the settings while running; the goals continue from their present values.
+
+        Raises:
+            ConfigError, OutOfRangeError, ShapeError: As the class; nothing has changed.
+        """
 
     def set_payload(self, mass: float, com: ArrayLike = (0.0, 0.0, 0.0)) -> None:
         """Set the payload: mass [kg], 0 for none; centre of mass (3,) in the tool frame [m].
 
         Takes effect at once before the first step, later over half a second, so that a wrong or
         mistimed payload does not make the arm jump.
+
+        Raises:
+            OutOfRangeError: The payload is invalid or, with gravity, needs more torque than the
+                servos have anywhere, or twice their torque at the present goals.
+            ShapeError: `com` has another shape.
         """
 
     def set_gravity(self, vector: ArrayLike) -> None:
-        """Set the gravity vector (3,) [m/s^2] in base axes, for a base that tilts."""
+        """Set the gravity vector (3,) [m/s^2] in base axes, for a base that tilts.
+
+        Raises:
+            OutOfRangeError: A component is beyond 100 m/s^2.
+        """
 
     def set_delay(self, delay: float) -> None:
-        """Set the measured delay [s]; may reduce the gain, see `Diagnostics.gain_factor`."""
+        """Set the measured delay [s]; may reduce the gain, see `Diagnostics.gain_factor`.
+
+        Raises:
+            OutOfRangeError: The delay is not within 0 to 0.5 s.
+        """
 
     def capture_gravity(self, q: ArrayLike, goal: ArrayLike) -> _Array:
         """Measure the stiffness for the gravity offset on an arm that its goals hold still.
