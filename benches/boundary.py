@@ -37,7 +37,7 @@ REFERENCE = "for q, t in states: jacobian(model, data, q, frame, axes); data.oMf
 #: [N·m], friction [N·m] and damping [N·m·s/rad].
 SERVOS = {
     "kp": [150.0] * 4 + [60.0] * 3,
-    "torque": [10.7] * 4 + [6.4] * 3,
+    "max_torque": [10.7] * 4 + [6.4] * 3,
     "friction": [0.2] * 4 + [0.1] * 3,
     "damping": [1.2] * 4 + [0.8] * 3,
 }

@@ -94,7 +94,7 @@ def main() -> None:
     numpy = starts("-c", "import numpy")
     line("import numpy, beyond python", (numpy[0] - interpreter[0], numpy[1] - interpreter[1]))
     line("import pliant, beyond numpy", imports("import pliant"))
-    for flags in ("--version", "--help", "bench --help"):
+    for flags in ("--version", "--help", "run --help"):
         line(f"pliant {flags}", starts("-m", "pliant.cli", *flags.split()))
     numpy_alone = memory("")
     print(f"memory of numpy               {numpy_alone:8.1f} MB")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -94,3 +95,32 @@ def test_counting_is_skipped_loudly(lacking, tmp_path):
     assert result.returncode == 0, result.stderr
     assert "!! SKIPPED: instruction counts" in result.stdout
     assert lacking in result.stdout or "no counts stored" in result.stdout
+
+
+#: Arguments and constants with which a bench takes a few seconds at most, by program.
+SHORT_RUNS: dict[str, tuple[list[str], dict[str, object]]] = {
+    "batch": (["--count=100", "--only=kinematics,step_batch"], {"ROUNDS": 1}),
+    "boundary": ([], {"ROUNDS": 1}),
+    "gym_share": (["Door"], {"ARMS": 2, "STEPS": 1, "REPEATS": 1}),
+    "lightness": ([], {"STARTS": 1}),
+    "tail": (["--steps=2000", "--turns=1"], {}),
+}
+#: Programs that other tests run, `ros` apart, whose parts `tests/ros` runs.
+RUN_ELSEWHERE = {"counts", "latency", "peers", "ros", "tick"}
+
+
+def test_every_bench_is_run():
+    programs = {path.stem for path in BENCHES.glob("*.py")}
+    assert programs == set(SHORT_RUNS) | RUN_ELSEWHERE
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("program", SHORT_RUNS)
+def test_a_bench_runs(program, load, monkeypatch, capsys):
+    arguments, constants = SHORT_RUNS[program]
+    module = load(program)
+    monkeypatch.setattr(sys, "argv", [program, *arguments])
+    for name, value in constants.items():
+        monkeypatch.setattr(module, name, value)
+    module.main()
+    assert re.search(r"\d", capsys.readouterr().out), "it printed no figure"
