@@ -201,7 +201,7 @@ miri: ## Unit tests of the core's unsafe code under Miri; needs nightly with mir
 	$(call say,Miri)
 	@tools/miri.sh
 
-asan: setup ## Tests of arrays, batches and pool with AddressSanitizer; needs nightly
+asan: setup ## Tests of arrays, batches, pool and serial ports with AddressSanitizer; needs nightly
 	$(call say,AddressSanitizer)
 	@tools/asan.sh $(CURDIR)/$(BIN)/python
 

@@ -1,5 +1,5 @@
 #!/bin/sh
-# Runs the tests of arrays, batches and the process pool on an extension module built with AddressSanitizer.
+# Runs the tests of arrays, batches, the pool and serial ports on an extension module built with AddressSanitizer.
 # usage: asan.sh PYTHON   (the project's own)
 # Needs rustup's nightly toolchain and a C compiler on Linux. Everything goes into build/asan; the installed module stays.
 set -eu
@@ -42,5 +42,7 @@ printf '\n== tests with AddressSanitizer\n'
 export ASAN_OPTIONS=detect_leaks=0:abort_on_error=1 LD_PRELOAD="$build/runtime.so" PYTHONPATH="$build/python:$root"
 "$python" -c 'import pliant._core; assert "build/asan" in pliant._core.__file__, pliant._core.__file__'
 # The module takes debug assertions as a sign of a build without optimization.
-"$python" -m pytest -n0 -q -p no:cacheprovider -W 'ignore:pliant was built:RuntimeWarning' tests/python/test_arrays.py tests/python/test_batch.py \
-    tests/python/test_borrows.py tests/python/test_functions.py tests/python/test_pickle.py tests/python/test_pool.py
+"$python" -m pytest -n0 -q -p no:cacheprovider -W 'ignore:pliant was built:RuntimeWarning' \
+    tests/python/test_arrays.py tests/python/test_batch.py tests/python/test_borrows.py tests/python/test_functions.py \
+    tests/python/test_pickle.py tests/python/test_pool.py tests/servo/test_transport.py \
+    tests/servo/test_hostile_replies.py
