@@ -12,8 +12,9 @@ from pliant import identify
 from pliant._core import ConfigError, Controller
 from pliant.cli._console import print_line
 from pliant.cli._flags import ArmName, ConfigFlags, File
-from pliant.cli._measurements import Measurements
+from pliant.cli._measurements import Measurements, height_error
 from pliant.config import connect
+from pliant.identify.result import MAX_RESIDUAL_RATIO
 
 if TYPE_CHECKING:
     from pliant.arm import Arm
@@ -68,8 +69,10 @@ def run(
     results: list[list[str]] = []
     try:
         with closing(connected):
+            connected.open()
+            if procedure != "gravity" and (low := height_error(connected)) is not None:
+                raise ConfigError(f"{low} and start the command again")
             if file is not None:
-                connected.open()
                 file.start(connected, arm_config)
             with connected as live:
                 results.append(_measure(procedure, live, arm_config, options, file))
@@ -113,6 +116,8 @@ def _servo_lines(arm_config: Config, identification: identify.Identification) ->
     """
     if not arm_config.servo:
         return ["", "# the file has no table [servo]: the built-in servos cannot be changed"]
+    if identification.residual_ratio > MAX_RESIDUAL_RATIO:
+        return ["", "# no lines for the file: the residuals are too large"]
     known = identification.stiffness_known
     lines = ["", "# in place of the lines of these joints:", "[servo]"]
     for i, joint in enumerate(identification.joint_names):
