@@ -209,6 +209,16 @@ def test_a_servo_that_is_about_to_switch_off_gets_no_torque(emulated, enabled, k
         enabled(servo_bus)  # a servo with torque is taken over
 
 
+@pytest.mark.parametrize("kind", PROTOCOLS)
+def test_a_temperature_limit_that_no_servo_stays_below_is_named(emulated, enabled, kind):
+    with emulated(kind, 1, clock="steps", is_open=False) as (bus, servo_bus):
+        bus.servo(1).put("temperature_limit", 0)
+        servo_bus.open()
+        message = "it is at 25 °C and switches off at 0: its Temperature Limit is wrong"
+        with pytest.raises(ServoFaultError, match=message):
+            enabled(servo_bus)
+
+
 @pytest.mark.parametrize("kind", ["xm", "xl430", "mx", "ex"])
 def test_an_overload_that_leaves_the_torque_on_is_no_fault(emulated, enabled, kind):
     # Bit 5 of Shutdown is clear after `pliant servos setup`; the servo reports the overload still.

@@ -228,6 +228,12 @@ EX, RX, MX = ("EX-106+",) * 2, ("RX-64",) * 2, ("MX-64",) * 2
         (RX, {"cw_angle_limit": 5, "ccw_angle_limit": 5}, "wheel or multi-turn mode"),
         (RX, {"cw_angle_limit": 5, "ccw_angle_limit": 900}, None),
         (MX, {"status_return_level": 1}, "Status Return Level"),
+        (STS, {"p_coefficient": 0}, "its register gain is 0"),
+        (STS, {"max_torque_limit": 0}, "its register max_torque is 0"),
+        (MX, {"max_torque": 0}, "its register max_torque is 0"),
+        (XL, {"pwm_limit": 0}, "its register pwm_limit is 0"),
+        (XM, {"operating_mode": 5, "pwm_limit": 0}, "its register pwm_limit is 0"),
+        (XM, {"operating_mode": 5, "current_limit": 0}, "its register current_limit is 0"),
     ],
 )
 def test_registers_that_do_not_allow_control_are_named(model, registers, expected):
@@ -260,7 +266,9 @@ def test_a_supply_fits_both_data_sheet_and_eeprom(limits, volts, fits):
         if fits:
             assert opened(bus, spec).found[0].voltage == pytest.approx(volts)
             return
-        with pytest.raises(ServoError, match=rf"its supply is {volts} V"):
+        with pytest.raises(
+            ServoError, match=rf"its supply is {volts} V.*voltage limits in its EEPROM"
+        ):
             opened(bus, spec)
 
 
