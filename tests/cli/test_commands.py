@@ -203,11 +203,13 @@ def test_only_an_identified_stiffness_is_written(so101, monkeypatch, unsure):
     rig = Excitation(model, model.servos, 0.01)
     found = Identification.of(rig, zeros, solution, Delay(0.01, 0.001, zeros))
     assert found.servos.stiffness_known is (not unsure)
-    disturbed = _servo_lines(own, replace(found, residual_ratio=2.1))
+    gains = dict.fromkeys(names, 32)
+    disturbed = _servo_lines(own, replace(found, residual_ratio=2.1), {})
     assert disturbed == ["", "# no lines for the file: the residuals are too large"]
-    lines = [line for line in _servo_lines(own, found) if not line.startswith("#")]
+    lines = [line for line in _servo_lines(own, found, gains) if not line.startswith("#")]
     servo = tomllib.loads("\n".join(lines))["servo"]
     assert [name for name in names if "kp" not in servo[name]] == unsure
+    assert all(servo[name]["gain"] == 32 for name in names), "kp belongs to this gain"
     # Friction is identified also where stiffness is not.
     assert all(servo[name]["friction"] == 0.05 for name in names)
     text = so101.read_text(encoding="utf-8")
@@ -218,7 +220,7 @@ def test_only_an_identified_stiffness_is_written(so101, monkeypatch, unsure):
     changed = config.load(str(so101)).model()
     assert changed.servos.stiffness_known is (not unsure)
     table = np.asarray(model.servos.kp)
-    expected = np.where(np.isin(names, unsure), table, kp)
+    expected = np.where(np.isin(names, unsure), 2.0 * table, kp)  # the file had gain 16
     np.testing.assert_allclose(changed.servos.kp, expected, rtol=1e-3)
 
 

@@ -202,7 +202,8 @@ def test_a_servo_that_is_about_to_switch_off_gets_no_torque(emulated, enabled, k
         with pytest.raises(ServoFaultError, match=message):
             enabled(servo_bus)
         assert not bus.log.goals_while_disabled()
-        assert [message[8:] in str(info.notes) for info in servo_bus.identify()] == [False, True]
+        servo_bus.identify()
+        assert servo_bus.range_errors == {"joint1": f"{message[8:]} before its torque comes on"}
         servo.temperature = limit - 3.0
         enabled(servo_bus)
         servo.temperature = limit - 1.0

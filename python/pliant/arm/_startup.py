@@ -150,8 +150,8 @@ def check_weight(io: ArmIO, on: Mask) -> None:
         raise ServoError(
             f"to hold its weight in this pose {'; '.join(found)}: torque stays off. Check mass "
             "[kg] and com [m] of the payload, which is [robot] payload or an argument of "
-            "Model.from_urdf, the masses of the URDF [kg], and the servo models; or move the arm "
-            "by hand into a pose that needs less"
+            "Model.from_urdf, the masses of the URDF [kg], and the servo models with their Max "
+            "Torque, Current or PWM Limit; or move the arm by hand into a pose that needs less"
         )
 
 

@@ -17,6 +17,8 @@ from pliant.config import connect
 from pliant.identify.result import MAX_RESIDUAL_RATIO
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from pliant.arm import Arm
     from pliant.config import Config
 
@@ -98,7 +100,7 @@ def _measure(
             file.add_servos(identification)
         return [
             *identification.summary(),
-            *_servo_lines(arm_config, identification),
+            *_servo_lines(arm_config, identification, getattr(arm.drive, "gains", {})),
             *_payload_lines(identification.payload),
         ]
     controller = Controller(arm.model, arm_config.settings(), arm.servos)
@@ -109,10 +111,13 @@ def _measure(
     return [*capture.summary(), *_gravity_lines(capture)]
 
 
-def _servo_lines(arm_config: Config, identification: identify.Identification) -> list[str]:
+def _servo_lines(
+    arm_config: Config, identification: identify.Identification, gains: Mapping[str, int]
+) -> list[str]:
     """Return TOML lines for the table [servo]: measured stiffness, friction and damping.
 
     A joint whose stiffness is not identified keeps its line in the file, with or without `kp`.
+    `gains` are the gain registers of the servos by joint, to which `kp` belongs.
     """
     if not arm_config.servo:
         return ["", "# the file has no table [servo]: the built-in servos cannot be changed"]
@@ -122,6 +127,8 @@ def _servo_lines(arm_config: Config, identification: identify.Identification) ->
     lines = ["", "# in place of the lines of these joints:", "[servo]"]
     for i, joint in enumerate(identification.joint_names):
         entry = arm_config.servo[joint].model_dump(exclude_unset=True)
+        if "gain" in entry:
+            entry["gain"] = gains.get(joint, entry["gain"])
         if known[i]:
             entry["kp"] = float(identification.servos.kp[i])
         entry["friction"] = float(identification.friction[i])

@@ -244,6 +244,8 @@ def _check(device: Device, image: RegisterImage) -> list[str]:
             "supply (take the power off), another variant than the configuration says (name it "
             "there), or wrong voltage limits in its EEPROM (set them with the maker's tool)"
         )
+    if not device.family.multi_turn and image["position_min"] > image["position_max"]:
+        errors.append("its position limits are reversed: calibrate it again")
     # The gain register of a servo without `row.gain` is a compliance slope.
     names = dict.fromkeys((device.family.ceiling, "pwm_limit", *["gain"] * (row.gain > 0.0)))
     return errors + [
@@ -355,8 +357,6 @@ def _store_registers(device: Device, image: RegisterImage) -> ServoInfo:
     if "hardware_error" in image:
         device.note_hardware_error(image["hardware_error"])
     notes = _calibration_notes(device)
-    if text := device.heat():
-        notes.append(text)
     if device.torque_on:
         notes.append(
             "its torque is on already: another program may be using the arm, or has left it up. "
