@@ -497,10 +497,11 @@ class Loop:
         if ages.max() > longest:
             joints = self._arm.model.joint_names
             names = [name for name, age in zip(joints, ages, strict=True) if age > longest]
-            silent = "any joint" if len(names) == len(joints) else ", ".join(names)
+            silent, where = ", ".join(names), "its power, the cable to it, and those before it"
+            if len(names) == len(joints):
+                silent, where = "any joint", "the power supply, and the cable from the adapter"
             raise ServoTimeoutError(
-                f"no position of {silent} for {ages.max():.2f} s: look at the cable to it, at "
-                "those before it, and at its power"
+                f"no position of {silent} for {ages.max():.2f} s: look at {where}"
             )
 
     def _restart(self, q: Array, *, first: bool) -> None:

@@ -1,9 +1,11 @@
 """The loop: timing, missing readings, missing commands, and no jump of the goal after them."""
 
+import logging
 import os
 import threading
 import time
 from contextlib import nullcontext
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ from bare_arm import bare_arm
 
 import pliant
 from experiments.lifecycle import FAULT_CASES, run_fault
+from pliant.arm._messages import MESSAGES
 from pliant.loop import LatenessHistogram
 
 
@@ -342,5 +345,21 @@ def test_a_pause_before_the_loop_is_not_a_silence(make):
 
         assert skip_ticks().missing > 10
         silent_until = arm.clock.now() + 1.0
-        with pytest.raises(pliant.ServoTimeoutError, match=r"no position of any joint for 0\.5"):
+        with pytest.raises(pliant.ServoTimeoutError, match=r"any joint for 0\.5.*supply.*adapter"):
             skip_ticks()
+
+
+def test_a_silent_joint_off_the_chain_is_reported_once(make, monkeypatch):
+    texts = []
+    monkeypatch.setattr(MESSAGES, "post", lambda text, level=0, **_: texts.append((text, level)))
+    with make([0.0, -0.6, 0.6, 0.6, 0.0], "so101") as arm:
+        arm.drive.silent = {"gripper"}
+        loop = pliant.Loop(arm, duration=2.0)
+        for tick in loop:
+            if tick.time < 0.9:
+                assert not texts
+            tick.write(SimpleNamespace(goal=tick.q, torque_limit=arm.servos.max_torque))
+        assert loop.missing == 0
+        assert texts == [
+            ("no answer from gripper for 1 s: look at its plug and cable", logging.WARNING)
+        ]

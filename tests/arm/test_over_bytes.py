@@ -17,6 +17,7 @@ from pliant.arm import Arm
 from pliant.arm._messages import MESSAGES
 from pliant.emulator import ManualClock, Mount, Timing, emulate
 from pliant.servo import ServoBus, ServoSpec
+from pliant.sim import Tabletop
 
 #: Units of the speed registers [rad/s]: one encoder step per second, and 0.229 rpm.
 STEP, RPM = 2.0 * np.pi / 4096, 0.229 * np.pi / 30.0
@@ -412,3 +413,18 @@ def test_an_arm_taken_over_keeps_its_torque_while_servos_are_silent(answers, mon
             assert "and torque is not known in shoulder_lift." in caplog.text
             assert "was lowered" not in caplog.text
         copy.close()
+
+
+@pytest.mark.parametrize(("counts", "is_told"), [(-1024, True), (0, False)])
+def test_joints_that_servos_do_not_carry_are_named(counts, is_told, monkeypatch):
+    """The horn of the shoulder is mounted 90° off, so that the weight of the model is wrong."""
+    texts = []
+    monkeypatch.setattr(MESSAGES, "post", lambda text, *_, **__: texts.append(text))
+    zero = {"shoulder_lift": 2048 + counts}
+    table = {"scene": [Tabletop(height=0.0)]}
+    with arm_over_bytes("sts", [0.0, -0.6, 0.6, 0.6, 0.0], plant=table, zero=zero) as (_, arm):
+        arm.enable()
+        told = [text for text in texts if "moved as torque came on (elbow_flex by +0." in text]
+        assert bool(told) is is_told
+        arm.disable_torque()
+        arm.close()

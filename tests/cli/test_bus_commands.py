@@ -6,6 +6,7 @@ from pliant import config
 from pliant.cli import main
 from pliant.config.factory import make_emulator
 from pliant.emulator import Device, Emulator
+from pliant.servo import eeprom
 
 rustypot = pytest.importorskip("rustypot")
 
@@ -137,8 +138,68 @@ def test_setup_leaves_servos_with_torque_alone(arm, capsys):
         main(["servos", "setup", str(file), "--yes", "--backup", str(file.with_suffix(".json"))])
         == 2
     )
-    assert "torque of shoulder_lift" in capsys.readouterr().err
-    assert all(w.id != 2 for w in bus.log.eeprom_writes()[before:])
+    assert "torque of shoulder_lift (id 2) is on" in capsys.readouterr().err
+    assert len(bus.log.eeprom_writes()) == before, "no servo is changed"
+    assert not file.with_suffix(".json").exists()
+
+
+def test_a_register_that_does_not_take_its_value_does_not_stop_setup(arm, tmp_path, capsys):
+    bus, file = arm
+    bus.stick(2, "return_delay_time", 250)
+    flags = ["servos", "setup", str(file), "--yes", "--backup"]
+    assert main([*flags, str(tmp_path / "old.json")]) == 2
+    error = capsys.readouterr().err
+    assert "shoulder_lift (id 2): return_delay reads 250 after 0 was written" in error
+    assert "the same command shows what is left to write" in error
+    values = [servo.get("return_delay_time") for servo in bus.servos]
+    assert values == [0, 250, 0, 0, 0, 0]
+    assert all(not servo.get("shutdown") & 32 for servo in bus.servos)
+    bus.stick(2, "return_delay_time", None)
+    assert main([*flags, str(tmp_path / "old.json")]) == 2
+    assert "exists, and keeps the old values in it" in capsys.readouterr().err
+    assert main([*flags, str(tmp_path / "more.json")]) == 0
+    assert "1 registers written and read back" in capsys.readouterr().out
+
+
+def test_a_servo_that_loses_its_power_does_not_stop_setup_of_the_others(arm, tmp_path, capsys):
+    bus, file = arm
+    flags = ["servos", "setup", str(file), "--yes", "--backup"]
+
+    def watch(transaction):
+        if any(write.eeprom and write.id == 2 for write in transaction.writes):
+            bus.servo(2).plugged = False
+
+    bus.log.watch = watch
+    assert main([*flags, str(tmp_path / "old.json")]) == 2
+    out, error = capsys.readouterr()
+    assert "id 2: no answer: is it powered? `pliant servos scan` lists" in error
+    assert "old values in" in out
+    assert [servo.get("return_delay_time") for servo in bus.servos[2:]] == [0] * 4
+
+
+def test_ctrl_c_leaves_a_backup_and_says_how_to_go_on(arm, tmp_path, capsys, monkeypatch):
+    bus, file = arm
+    write, count = eeprom._write, []
+
+    def interrupted(*arguments):
+        count.append(arguments)
+        if len(count) == 4:
+            raise KeyboardInterrupt
+        write(*arguments)
+
+    flags = ["servos", "setup", str(file), "--yes", "--backup"]
+    with monkeypatch.context() as patch:
+        patch.setattr(eeprom, "_write", interrupted)
+        assert main([*flags, str(tmp_path / "old.json")]) == 130
+    out, error = capsys.readouterr()
+    assert "old.json; this puts them back: pliant servos setup" in out
+    assert "registers written" not in out
+    assert "interrupted: the same command shows what is left to write" in error
+    written = len(bus.log.eeprom_writes())
+    assert 0 < written < 4
+    total = len(json.loads((tmp_path / "old.json").read_text())["changes"])
+    assert main([*flags, str(tmp_path / "more.json")]) == 0
+    assert f"{total - written} registers written and read back" in capsys.readouterr().out
 
 
 def test_doctor_finds_settings_that_setup_repairs(arm, capsys):
@@ -239,7 +300,7 @@ def test_a_servo_gets_an_id_of_its_own(model, tmp_path, capsys, monkeypatch):
             ("1:1", "the same"),
             ("1:77", "id 77 is not that of one joint"),
             ("1:2", "answers to id 2 already"),
-            ("9:5", "no answer"),
+            ("9:5", "no answer: is it powered? `pliant servos scan` lists"),
         ]:
             assert main([*setup, pair, "--yes"]) == 2
             assert message in capsys.readouterr().err
@@ -251,3 +312,57 @@ def test_a_servo_gets_an_id_of_its_own(model, tmp_path, capsys, monkeypatch):
         assert [servo.id for servo in bus.servos] == [5, 2]
         bus.reboot(5)
         assert bus.servos[0].id == 5, "it survives the loss of power"
+
+
+def test_an_id_that_was_changed_without_an_answer_is_found(tmp_path, capsys):
+    file = tmp_path / "arm.toml"
+    with Emulator([Device("STS3215", id=1), Device("STS3215", id=2)]) as bus:
+        write_arm(file, bus, "STS3215")
+
+        def watch(transaction):
+            if any("id" in write.values for write in transaction.writes):
+                bus.log.watch = None
+                bus.faults.inject("lose", 5, count=1000)
+
+        bus.log.watch = watch
+        setup = ["servos", "setup", str(file), "--set-id", "1:5", "--yes"]
+        assert main(setup) == 2
+        error = " ".join(capsys.readouterr().err.split())
+        assert "id 1 may not have become id 5: " in error
+        assert "`pliant servos scan` lists ids" in error
+        bus.faults.clear()
+        assert main(setup) == 2
+        error = " ".join(capsys.readouterr().err.split())
+        assert "answers to id 5 already: if it is the one, nothing is left to do" in error
+
+
+def test_an_id_of_two_servos_is_not_changed(tmp_path, capsys):
+    file = tmp_path / "arm.toml"
+    servos = [Device("STS3215", id=1, angle=1.0), Device("STS3215", id=1, angle=2.0)]
+    with Emulator(servos) as bus:
+        write_arm(file, bus, "STS3215")
+        assert main(["servos", "setup", str(file), "--set-id", "1:5", "--yes"]) == 2
+        assert "Two servos on one id look like this" in capsys.readouterr().err
+        assert not bus.log.writes()
+
+
+def test_a_feetech_servo_that_restarts_while_it_is_set_up_is_reported(tmp_path, capsys):
+    file = tmp_path / "arm.toml"
+    with Emulator([Device("STS3215", id=i, operating_mode=1) for i in range(1, 6)]) as bus:
+        write_arm(file, bus, "STS3215")
+
+        def watch(transaction):
+            if transaction.id == 2 and any("lock" in write.values for write in transaction.writes):
+                bus.log.watch = None
+                bus.servo(2).power_up()  # its EEPROM is locked again
+
+        bus.log.watch = watch
+        setup = ["servos", "setup", str(file), "--yes", "--backup"]
+        assert main([*setup, str(tmp_path / "old.json")]) == 2
+        error = " ".join(capsys.readouterr().err.split())
+        assert "shoulder_lift (id 2) restarted meanwhile, and may lose its new values" in error
+        bus.servo(2).power_up()
+        assert [servo.get("operating_mode") for servo in bus.servos] == [0, 1, 0, 0, 0]
+        assert main([*setup, str(tmp_path / "more.json")]) == 0
+        bus.servo(2).power_up()
+        assert bus.servo(2).get("operating_mode") == 0

@@ -4,6 +4,7 @@ import re
 import tomllib
 import warnings
 from collections import defaultdict
+from dataclasses import replace
 from importlib import import_module
 
 import numpy as np
@@ -17,6 +18,7 @@ import tyro
 from pliant import config
 from pliant.cli import COMMANDS, GROUPS, PREFIXES, main
 from pliant.cli.identify import _servo_lines
+from pliant.config import factory
 from pliant.identify import Identification
 from pliant.identify._excitation import Excitation
 from pliant.identify._regression import Delay, Solution
@@ -201,9 +203,13 @@ def test_only_an_identified_stiffness_is_written(so101, monkeypatch, unsure):
     rig = Excitation(model, model.servos, 0.01)
     found = Identification.of(rig, zeros, solution, Delay(0.01, 0.001, zeros))
     assert found.servos.stiffness_known is (not unsure)
-    lines = [line for line in _servo_lines(own, found) if not line.startswith("#")]
+    gains = dict.fromkeys(names, 32)
+    disturbed = _servo_lines(own, replace(found, residual_ratio=2.1), {})
+    assert disturbed == ["", "# no lines for the file: the residuals are too large"]
+    lines = [line for line in _servo_lines(own, found, gains) if not line.startswith("#")]
     servo = tomllib.loads("\n".join(lines))["servo"]
     assert [name for name in names if "kp" not in servo[name]] == unsure
+    assert all(servo[name]["gain"] == 32 for name in names), "kp belongs to this gain"
     # Friction is identified also where stiffness is not.
     assert all(servo[name]["friction"] == 0.05 for name in names)
     text = so101.read_text(encoding="utf-8")
@@ -214,7 +220,7 @@ def test_only_an_identified_stiffness_is_written(so101, monkeypatch, unsure):
     changed = config.load(str(so101)).model()
     assert changed.servos.stiffness_known is (not unsure)
     table = np.asarray(model.servos.kp)
-    expected = np.where(np.isin(names, unsure), table, kp)
+    expected = np.where(np.isin(names, unsure), 2.0 * table, kp)  # the file had gain 16
     np.testing.assert_allclose(changed.servos.kp, expected, rtol=1e-3)
 
 
@@ -236,3 +242,14 @@ def test_identify_refuses_before_torque_comes_on(flags, message, capsys):
 def test_a_scene_needs_a_built_in_arm(arm, capsys):
     assert main(["view", arm, "--scene", "free"]) == 2
     assert "--scene simulates one of arm7, so101, koch" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("procedure", ["servos", "payload"])
+def test_joints_do_not_swing_where_the_tool_would_meet_the_table(
+    procedure, capsys, caplog, monkeypatch
+):
+    monkeypatch.setattr(factory, "start_pose", lambda config, _: np.array(config.life.rest_q))
+    assert main(["identify", "so101", procedure, "--backend", "sim"]) == 2
+    error = " ".join(capsys.readouterr().err.split())
+    assert "the tool is 1 cm above the table, needed are 15 cm: hold it higher and start" in error
+    assert "lowered" not in caplog.text, "torque has stayed off"

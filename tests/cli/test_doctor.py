@@ -70,6 +70,7 @@ def test_a_gain_that_differs_from_the_servo_is_reported():
         arm_config = config.load("so101", port=bus.port)
         notes = {f.about: f.text for f in examine(arm_config) if f.level == "note"}
     assert notes["shoulder_lift"].startswith("its P gain is 32, the file says 16")
+    assert factory.servo_specs(arm_config, {"main": "port"})[1].gain == 16
     assert "shoulder_pan" not in notes
 
 

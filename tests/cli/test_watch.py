@@ -162,3 +162,19 @@ def test_the_table_names_units_and_is_not_read_as_markup():
     console = Console(width=140, force_terminal=True, record=True)
     console.print(_table(monitor))
     assert "limits [rad]" in console.export_text()
+
+
+def test_a_joint_that_falls_silent_does_not_show_its_last_angle():
+    from pliant.cli.servos._joint_monitor import JointMonitor
+
+    arm_config = config.load("so101")
+    model = arm_config.model()
+    monitor = JointMonitor(arm_config, model, tuple(model.joint_names))
+    ok = np.ones(model.n, dtype=bool)
+    monitor.update(np.zeros(model.n), ok)
+    for is_answering in (False, True):
+        ok[2] = is_answering
+        monitor.update(np.zeros(model.n), ok)
+        angles = [angle for _, angle, _, _ in monitor.rows]
+        assert angles.count("no answer") == (not is_answering)
+        assert (angles[2] == "no answer") is not is_answering

@@ -202,11 +202,22 @@ def test_a_servo_that_is_about_to_switch_off_gets_no_torque(emulated, enabled, k
         with pytest.raises(ServoFaultError, match=message):
             enabled(servo_bus)
         assert not bus.log.goals_while_disabled()
-        assert [message[8:] in str(info.notes) for info in servo_bus.identify()] == [False, True]
+        servo_bus.identify()
+        assert servo_bus.range_errors == {"joint1": f"{message[8:]} before its torque comes on"}
         servo.temperature = limit - 3.0
         enabled(servo_bus)
         servo.temperature = limit - 1.0
         enabled(servo_bus)  # a servo with torque is taken over
+
+
+@pytest.mark.parametrize("kind", PROTOCOLS)
+def test_a_temperature_limit_that_no_servo_stays_below_is_named(emulated, enabled, kind):
+    with emulated(kind, 1, clock="steps", is_open=False) as (bus, servo_bus):
+        bus.servo(1).put("temperature_limit", 0)
+        servo_bus.open()
+        message = "it is at 25 °C and switches off at 0: its Temperature Limit is wrong"
+        with pytest.raises(ServoFaultError, match=message):
+            enabled(servo_bus)
 
 
 @pytest.mark.parametrize("kind", ["xm", "xl430", "mx", "ex"])

@@ -183,6 +183,14 @@ def test_ceilings_and_gains_are_the_servos_own():
         assert "Max Torque is set to 50%" in servo_bus.found[0].notes[0]
 
 
+@pytest.mark.parametrize(("gain", "kp"), [(None, 6.0), (32, 6.0), (16, 12.0), (64, 3.0)])
+def test_an_identified_stiffness_follows_the_gain_register(gain, kp):
+    with Emulator([Device("STS3215", id=1, p_coefficient=32)], clock="steps") as bus:
+        servo_bus = opened(bus, {**PAN, "kp": 6.0, "gain": gain})
+        assert servo_bus.servos.kp[0] == pytest.approx(kp)
+        assert servo_bus.servos.stiffness_known
+
+
 def test_notes_list_the_changes_of_setup():
     with Emulator([Device("XM430-W350", id=3, operating_mode=5)], clock="steps") as bus:
         servo_bus = opened(bus, ELBOW)
@@ -228,6 +236,14 @@ EX, RX, MX = ("EX-106+",) * 2, ("RX-64",) * 2, ("MX-64",) * 2
         (RX, {"cw_angle_limit": 5, "ccw_angle_limit": 5}, "wheel or multi-turn mode"),
         (RX, {"cw_angle_limit": 5, "ccw_angle_limit": 900}, None),
         (MX, {"status_return_level": 1}, "Status Return Level"),
+        (STS, {"p_coefficient": 0}, "its register gain is 0"),
+        (STS, {"max_torque_limit": 0}, "its register max_torque is 0"),
+        (MX, {"max_torque": 0}, "its register max_torque is 0"),
+        (XL, {"pwm_limit": 0}, "its register pwm_limit is 0"),
+        (XM, {"operating_mode": 5, "pwm_limit": 0}, "its register pwm_limit is 0"),
+        (XM, {"operating_mode": 5, "current_limit": 0}, "its register current_limit is 0"),
+        (STS, {"min_position_limit": 3000, "max_position_limit": 1000}, "limits are reversed"),
+        (XM, {"operating_mode": 5, "min_position_limit": 3000, "max_position_limit": 9}, None),
     ],
 )
 def test_registers_that_do_not_allow_control_are_named(model, registers, expected):
@@ -260,7 +276,9 @@ def test_a_supply_fits_both_data_sheet_and_eeprom(limits, volts, fits):
         if fits:
             assert opened(bus, spec).found[0].voltage == pytest.approx(volts)
             return
-        with pytest.raises(ServoError, match=rf"its supply is {volts} V"):
+        with pytest.raises(
+            ServoError, match=rf"its supply is {volts} V.*voltage limits in its EEPROM"
+        ):
             opened(bus, spec)
 
 

@@ -162,6 +162,12 @@ def test_a_line_with_only_corrupt_replies_is_bad(monkeypatch, count, note):
     ] * count
 
 
+def test_a_device_that_answers_nonsense_to_every_id_is_no_list_of_servos(monkeypatch):
+    line = Line(monkeypatch, {}, corrupt=[*range(4)])
+    with pytest.raises(ServoError, match=r"port: broken answers from every id.*no servo adapter"):
+        _IdScan(line, "port", 1_000_000, "p1", 0.001).run(range(4))
+
+
 @pytest.mark.parametrize(("noisy", "is_silent"), [(0, True), (19, True), (20, False)])
 def test_a_line_has_twenty_pings_to_become_silent(monkeypatch, noisy, is_silent):
     line = Line(monkeypatch, {1: 777}, noisy=noisy)

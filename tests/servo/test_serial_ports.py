@@ -1,4 +1,4 @@
-"""Serial ports of Windows, with a registry of the test's own; ports dropped after a fork."""
+"""Serial ports of Linux and of Windows with a registry of the test's own; dropped ports."""
 
 import contextlib
 import os
@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from pliant.servo import serial_ports
+from pliant.servo import serial_ports, transport
 from pliant.servo.transport import drop_port
 
 
@@ -38,6 +38,18 @@ def test_a_machine_that_never_had_a_port(monkeypatch):
     monkeypatch.setattr(sys, "platform", "win32")
     monkeypatch.setitem(sys.modules, "winreg", registry(None))
     assert serial_ports() == ()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no paths of ports")
+def test_an_adapter_is_listed_once_by_its_stable_name(tmp_path, monkeypatch):
+    for name in ("ttyACM0", "ttyUSB1"):
+        (tmp_path / name).touch()
+    stable = tmp_path / "serial" / "by-id" / "usb-1a86_USB_Single_Serial-if00"
+    stable.parent.mkdir(parents=True)
+    stable.symlink_to("../../ttyACM0")
+    find = transport.glob
+    monkeypatch.setattr(transport, "glob", lambda path: find(path.replace("/dev", str(tmp_path))))
+    assert serial_ports() == (str(stable), str(tmp_path / "ttyUSB1"))
 
 
 @pytest.mark.pty

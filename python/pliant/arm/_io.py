@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import math
 import warnings
 from typing import TYPE_CHECKING
@@ -22,6 +23,7 @@ from pliant._core import (
 from pliant._servo_tables import take
 from pliant._validation import format_value, mapping, real
 from pliant.arm._checks import vector
+from pliant.arm._messages import MESSAGES
 from pliant.arm.thermal import TOO_HOT, thermal_faults
 from pliant.drive import MonotonicClock
 
@@ -203,8 +205,9 @@ class LowTorqueWarning:
 #: and after a time without commands [s].
 RAMP_TIME = 0.5
 
-#: Time without a position after which a joint counts as silent [s].
-SILENCE = 0.2
+#: Time without a position after which a joint counts as silent [s]; off the chain, after which this
+#: is reported.
+SILENCE, EXTRA_SILENCE = 0.2, 1.0
 #: Number of reads in which the joints of an ended program should answer at least once.
 RESUME_READS = 5
 
@@ -262,6 +265,8 @@ class ArmIO:
         # Last reading of all joints.
         self._sample = JointReadings(np.full(size, np.nan), np.zeros(size, dtype=bool), 0.0)
         self._watchdog = 0.0
+        # Joints off the chain that were reported as silent.
+        self._silent: set[str] = set()
         # Times of the last bus access and of the last position received, since `set_watchdog` [s].
         self._last_access: float
         self._last_position: float
@@ -582,8 +587,22 @@ class ArmIO:
         self.drive.write(goals, limits, speeds)
         self._last_access = self.clock.now()
         status = self.drive.poll_status()
-        if status is not None and status is not self._statuses.get(status.name):
+        if status is None:
+            self._report_silent()
+        elif status is not self._statuses.get(status.name):
             self._update_status(status)
+
+    def _report_silent(self) -> None:
+        """Warn once of each joint off the chain that is silent: the loop waits for others only."""
+        times = self.positions.time
+        for name, i in zip(self.joints.extra, self.joints.off_chain, strict=True):
+            # Not the age: if no joint answers, the line has failed.
+            if times.max() - times[i] > EXTRA_SILENCE and name not in self._silent:
+                self._silent.add(name)
+                MESSAGES.post(
+                    f"no answer from {name} for {EXTRA_SILENCE:g} s: look at its plug and cable",
+                    logging.WARNING,
+                )
 
     def _in_drive_order(self, goal: Array, limit: Array) -> tuple[Array, Array]:
         """Extend goals and limits of the chain (n,) to all joints (N,), with values of `orders`.

@@ -29,6 +29,8 @@ LEAD_FACTOR = 2.0
 #: `FIRST_LEAD` is added to the lead of `LEAD_FACTOR`, for the motion until the next goal [rad];
 #: `LARGEST_LEAD` bounds the sum [rad].
 FIRST_LEAD, LARGEST_LEAD = 0.03, 0.8
+#: Motion of a joint while torque came on above which the user is warned [rad].
+MAX_DISPLACEMENT = 0.15
 #: Ratio of measured to assumed servo stiffness, or inverse ratio, above which the user is warned.
 MISMATCH = 1.5
 #: Weight over usable torque of a joint above which torque stays off: an arm that is that much
@@ -148,8 +150,8 @@ def check_weight(io: ArmIO, on: Mask) -> None:
         raise ServoError(
             f"to hold its weight in this pose {'; '.join(found)}: torque stays off. Check mass "
             "[kg] and com [m] of the payload, which is [robot] payload or an argument of "
-            "Model.from_urdf, the masses of the URDF [kg], and the servo models; or move the arm "
-            "by hand into a pose that needs less"
+            "Model.from_urdf, the masses of the URDF [kg], and the servo models with their Max "
+            "Torque, Current or PWM Limit; or move the arm by hand into a pose that needs less"
         )
 
 
@@ -191,6 +193,19 @@ def full_lead(torque: Array, kp: Array) -> Array:
     size = LEAD_FACTOR * np.abs(torque) / kp + FIRST_LEAD
     lead: Array = np.sign(torque) * np.minimum(size, LARGEST_LEAD)
     return lead
+
+
+def displacement(io: ArmIO, start_q: Array) -> str | None:
+    """Return a warning about joints that did not stay near `start_q` (n,) [rad], or None."""
+    moved = io.q - start_q
+    far = np.flatnonzero(np.abs(moved) > MAX_DISPLACEMENT)
+    if not far.size:
+        return None
+    found = ", ".join(f"{io.model.joint_names[i]} by {moved[i]:+.2f} rad" for i in far)
+    return (
+        f"joints moved as torque came on ({found}), their servos did not carry them: signs or "
+        "zeros are wrong (`pliant servos doctor ARM --watch`), or a load is too heavy"
+    )
 
 
 def may_lie_on(table: float | None, points: ArmPoints, q: Array) -> bool:
@@ -235,7 +250,7 @@ def stiffness_mismatch(io: ArmIO, leads: Array, *, is_supported: bool = False) -
     if not found:
         return reversed_leads
     return (f"{reversed_leads}; " if wrong else "") + (
-        f"servos are stiffer or softer than their table, or weights differ from the model: "
+        f"servos are stiffer or softer than their table, or weights or zeros are wrong: "
         f"{', '.join(found)} the assumed k_p; forces are wrong by as much: "
         "pliant.identify.identify_servos(arm, model) measures k_p, controller.set_payload(...) "
         "sets a load"

@@ -24,6 +24,7 @@ from pliant.arm._startup import (
     check_reading_time,
     check_weight,
     check_within_limits,
+    displacement,
     initial_commands,
     may_lie_on,
     stiffness_mismatch,
@@ -236,7 +237,8 @@ class Arm:
             raise
         self.leads = transfer_weight(io, self._points, start_q, carried, self.rate)
         is_supported = may_lie_on(self.table, self._points, io.q)
-        if text := stiffness_mismatch(io, self.leads, is_supported=is_supported):
+        mismatch = stiffness_mismatch(io, self.leads, is_supported=is_supported)
+        for text in filter(None, (displacement(io, start_q), mismatch)):
             MESSAGES.post(text, logging.WARNING)
         io.set_watchdog(self._watchdog)
         self._supervisor.heartbeat[1] = 0.0

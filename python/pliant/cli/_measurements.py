@@ -37,6 +37,8 @@ FORMAT = "pliant-measurements 1"
 UNITS = "SI (m, kg, s, N, N·m, rad, V); temperature in °C, scale in g, gain in register units"
 #: Significant digits of the numbers in the file.
 DIGITS = 5
+#: Smallest height of the tool above a table in the pose in which joints swing [m].
+MIN_HEIGHT = 0.15
 
 
 class Measurements:
@@ -228,3 +230,14 @@ def _plain(value: Any) -> Any:
     if isinstance(value, float):  # also np.float64
         return float(f"{value:.{DIGITS}g}") if math.isfinite(value) else None
     return value
+
+
+def height_error(arm: Arm) -> str | None:
+    """Return a text if the tool is too low above a table for joints to swing, else None."""
+    height = arm.model.forward_kinematics(arm.read().q)[2, 3] - (arm.table or 0.0)
+    if arm.table is None or height >= MIN_HEIGHT:
+        return None
+    return (
+        f"the tool is {height * 100:.0f} cm above the table, needed are {MIN_HEIGHT * 100:.0f} cm: "
+        "hold it higher"
+    )

@@ -12,10 +12,13 @@ from pliant import identify
 from pliant._core import ConfigError, Controller
 from pliant.cli._console import print_line
 from pliant.cli._flags import ArmName, ConfigFlags, File
-from pliant.cli._measurements import Measurements
+from pliant.cli._measurements import Measurements, height_error
 from pliant.config import connect
+from pliant.identify.result import MAX_RESIDUAL_RATIO
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from pliant.arm import Arm
     from pliant.config import Config
 
@@ -68,8 +71,10 @@ def run(
     results: list[list[str]] = []
     try:
         with closing(connected):
+            connected.open()
+            if procedure != "gravity" and (low := height_error(connected)) is not None:
+                raise ConfigError(f"{low} and start the command again")
             if file is not None:
-                connected.open()
                 file.start(connected, arm_config)
             with connected as live:
                 results.append(_measure(procedure, live, arm_config, options, file))
@@ -95,7 +100,7 @@ def _measure(
             file.add_servos(identification)
         return [
             *identification.summary(),
-            *_servo_lines(arm_config, identification),
+            *_servo_lines(arm_config, identification, getattr(arm.drive, "gains", {})),
             *_payload_lines(identification.payload),
         ]
     controller = Controller(arm.model, arm_config.settings(), arm.servos)
@@ -106,17 +111,24 @@ def _measure(
     return [*capture.summary(), *_gravity_lines(capture)]
 
 
-def _servo_lines(arm_config: Config, identification: identify.Identification) -> list[str]:
+def _servo_lines(
+    arm_config: Config, identification: identify.Identification, gains: Mapping[str, int]
+) -> list[str]:
     """Return TOML lines for the table [servo]: measured stiffness, friction and damping.
 
     A joint whose stiffness is not identified keeps its line in the file, with or without `kp`.
+    `gains` are the gain registers of the servos by joint, to which `kp` belongs.
     """
     if not arm_config.servo:
         return ["", "# the file has no table [servo]: the built-in servos cannot be changed"]
+    if identification.residual_ratio > MAX_RESIDUAL_RATIO:
+        return ["", "# no lines for the file: the residuals are too large"]
     known = identification.stiffness_known
     lines = ["", "# in place of the lines of these joints:", "[servo]"]
     for i, joint in enumerate(identification.joint_names):
         entry = arm_config.servo[joint].model_dump(exclude_unset=True)
+        if "gain" in entry:
+            entry["gain"] = gains.get(joint, entry["gain"])
         if known[i]:
             entry["kp"] = float(identification.servos.kp[i])
         entry["friction"] = float(identification.friction[i])

@@ -139,8 +139,8 @@ class Servo(StrictModel):
             limit register.
         gain: Value of the P gain register in the simulator and the emulator, only for servos that
             keep it without power (Feetech); None: the maker's default. For a real servo, the gain
-            is read from the servo.
-        kp: Identified stiffness [N·m/rad]; None: the stiffness that follows from the gain register.
+            is read from the servo, and `kp` follows it.
+        kp: Identified stiffness with this gain [N·m/rad]; None: it follows from the gain register.
         friction: Identified dry friction [N·m]; None: that of the servo model.
         damping: Identified viscous damping of the gears [N·m·s/rad]; None: that of the servo model.
     """
@@ -461,7 +461,7 @@ def spec(
         port=port,
         calibration=calibration,
         secondary=None if servo.secondary is None else (servo.secondary.id, servo.secondary.sign),
-        **servo.model_dump(exclude={"zero", "port", "secondary", "gain"}),
+        **servo.model_dump(exclude={"zero", "port", "secondary"}),
     )
 
 

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 #: Largest standard deviation of the stiffness of a joint that counts as identified, as a share of
 #: the stiffness [1].
 KNOWN_SIGMA = 0.1
+#: Residuals over assumed noise above which the model misses an effect, such as a hand [1].
+MAX_RESIDUAL_RATIO = 2.0
 #: Smallest `PayloadEstimate.sigma_reduction` of a direction that the data determine [1].
 MIN_REDUCTION = 0.5
 
@@ -238,7 +240,7 @@ class Identification:
             f"{name} could not be driven by its torque limit; its k_p rests on gravity alone."
             for name in self.undriven
         ]
-        if self.residual_ratio > 2.0:
+        if self.residual_ratio > MAX_RESIDUAL_RATIO:
             out.append(
                 f"residuals are {self.residual_ratio:.1f} × what friction and encoder explain: "
                 "play, a wrong mass in the model, or a hand on the arm."

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from pliant._core import ServoError
 from pliant.servo._device import TRIPPED
 from pliant.servo._transactions import RESPONSE_DELAY
-from pliant.servo.eeprom import OVERLOAD_BIT
+from pliant.servo.eeprom import OVERLOAD_BIT, SAME_ID
 from pliant.servo.models import by_number
 from pliant.servo.transport import BusError
 
@@ -195,11 +195,7 @@ def _broken(port: Port, broken: list[tuple[Device, BusError]], *, all_of_them: b
             "receives its own requests (switch its echo off) or adds bytes when it changes "
             "direction, another baud rate, or noise (cable, ground, termination)"
         ]
-    return [
-        f"{device.name}: {error}. Two servos on one id look like this: connect them one by one and "
-        f"give each its own id (`pliant servos setup ARM --set-id OLD:NEW`); or the cable is bad"
-        for device, error in broken
-    ]
+    return [f"{device.name}: {error}. {SAME_ID}" for device, error in broken]
 
 
 def _missing(port: Port, missing: list[Device]) -> str:
@@ -245,10 +241,18 @@ def _check(device: Device, image: RegisterImage) -> list[str]:
     if not low <= volts <= high:
         errors.append(
             f"its supply is {volts:.1f} V and {row.name} takes {low:g} to {high:g} V: wrong "
-            "supply (take the power off), or another variant than the configuration says (name it "
-            "there)"
+            "supply (take the power off), another variant than the configuration says (name it "
+            "there), or wrong voltage limits in its EEPROM (set them with the maker's tool)"
         )
-    return errors
+    if not device.family.multi_turn and image["position_min"] > image["position_max"]:
+        errors.append("its position limits are reversed: calibrate it again")
+    # The gain register of a servo without `row.gain` is a compliance slope.
+    names = dict.fromkeys((device.family.ceiling, "pwm_limit", *["gain"] * (row.gain > 0.0)))
+    return errors + [
+        f"its register {name} is 0, so that it has no torque: set it with the maker's tool"
+        for name in names
+        if name in image and not image[name]
+    ]
 
 
 def _store_initial_values(device: Device, image: RegisterImage) -> None:
@@ -353,8 +357,6 @@ def _store_registers(device: Device, image: RegisterImage) -> ServoInfo:
     if "hardware_error" in image:
         device.note_hardware_error(image["hardware_error"])
     notes = _calibration_notes(device)
-    if text := device.heat():
-        notes.append(text)
     if device.torque_on:
         notes.append(
             "its torque is on already: another program may be using the arm, or has left it up. "

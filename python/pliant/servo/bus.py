@@ -342,9 +342,12 @@ class ServoBus:
 
     @property
     def range_errors(self) -> dict[str, str]:
-        """Error texts about servos that `enable` rejects, because they are outside their range."""
-        texts = {device.spec.name: sequences.range_error(device) for device in self._devices}
-        return {name: text for name, text in texts.items() if text is not None}
+        """Error texts about servos that `enable` rejects: out of range, or hot without torque."""
+        texts = {
+            d.spec.name: sequences.range_error(d) or ("" if d.torque_on else d.heat())
+            for d in self._devices
+        }
+        return {name: text for name, text in texts.items() if text}
 
     @property
     def counters(self) -> dict[str, int]:

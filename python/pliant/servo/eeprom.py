@@ -36,6 +36,11 @@ NO_SECONDARY = 255
 DRIVE_MODE_BITS_TO_CLEAR = 0b1110
 #: Mask of the bit of the register Drive Mode (Protocol 1.0) for a slave of another servo.
 SLAVE_BIT = 0b10
+#: Cause and remedy of a corrupt reply of one servo, for error messages.
+SAME_ID = (
+    "Two servos on one id look like this: connect them one by one and give each its own id "
+    "(`pliant servos setup ARM --set-id OLD:NEW`); or the cable is bad"
+)
 
 
 @dataclass(frozen=True)
@@ -126,7 +131,22 @@ def _differences(
         old = read(io, id, row.family, register)
         if old != new:
             out.append(RegisterChange(joint, id, register, old, new, why, row.name))
+    if out:
+        _check_torque(io, joint, id, row.family)
     return out
+
+
+def _check_torque(io: TransactionGuard, joint: str, id: int, family: Family) -> None:
+    """Check that the torque of a servo is off.
+
+    Raises:
+        ServoError: Torque is on, or the servo does not answer.
+    """
+    if read(io, id, family, "torque_enable"):
+        raise ServoError(
+            f"the torque of {joint} (id {id}) is on: EEPROM is locked, and the arm may be holding "
+            "itself up. Lower it first (`pliant run … ` and Ctrl-C), then try again"
+        )
 
 
 def _required_values(
@@ -168,28 +188,31 @@ def write_changes(io: TransactionGuard, family: Family, required: Sequence[Regis
     """Write the changes `required` of one servo, and read each register back.
 
     Raises:
-        ServoError: Torque is on, or a register did not read back as written; the changes before it
-            stay written.
+        ServoError: Torque is on, the servo does not answer, or registers did not read back as
+            written; the other changes stay written.
     """
     if not required:
         return
-    first = required[0]
-    if read(io, first.id, family, "torque_enable"):
-        raise ServoError(
-            f"the torque of {first.joint} (id {first.id}) is on: EEPROM is locked, and the arm may "
-            "be holding itself up. Lower it first (`pliant run … ` and Ctrl-C), then try again"
-        )
+    first, failed = required[0], []
+    _check_torque(io, first.joint, first.id, family)
     _lock(io, first.id, family, locked=False)
     try:
         for change in required:
             _write(io, change.id, family, change.register, change.new)
             if (value := read(io, change.id, family, change.register)) != change.new:
-                raise ServoError(
+                failed.append(
                     f"{change.joint} (id {change.id}): {change.register} reads {value} after "
                     f"{change.new} was written"
                 )
+        if "lock" in family.registers and read(io, first.id, family, "lock"):
+            failed.append(
+                f"{first.joint} (id {first.id}) restarted meanwhile, and may lose its new values: "
+                "switch its supply off and on"
+            )
     finally:
         _lock(io, first.id, family, locked=True)
+    if failed:
+        raise ServoError("\n".join(failed))
 
 
 def set_id(io: TransactionGuard, joint: str, row: ServoModel, old: int, new: int) -> None:
@@ -208,7 +231,7 @@ def set_id(io: TransactionGuard, joint: str, row: ServoModel, old: int, new: int
     try:
         _check_model(io, joint, new, row)
     except ServoError as error:
-        raise ServoError(f"id {old} did not become id {new}: {error}") from error
+        raise ServoError(f"id {old} may not have become id {new}: {error}") from error
     _lock(io, new, family, locked=True)
 
 
@@ -218,14 +241,13 @@ def check_set_id(io: TransactionGuard, joint: str, row: ServoModel, old: int, ne
     Raises:
         ServoError: A precondition is not met, see `set_id`.
     """
-    _check_model(io, joint, old, row)
-    if read(io, old, row.family, "torque_enable"):
-        raise ServoError(f"the torque of id {old} is on: switch it off first")
     if io.ping(new):
         raise ServoError(
-            f"a servo on this port answers to id {new} already: connect only the one that is to "
-            "get it"
+            f"a servo on this port answers to id {new} already: if it is the one, nothing is left "
+            "to do; else connect only the one that is to get it"
         )
+    _check_model(io, joint, old, row)
+    _check_torque(io, joint, old, row.family)
 
 
 def read(io: TransactionGuard, id: int, family: Family, name: str) -> int:
@@ -238,7 +260,13 @@ def read(io: TransactionGuard, id: int, family: Family, name: str) -> int:
     try:
         reply = io.read(id, family.block(name))
     except BusError as error:
-        raise ServoError(f"{error}: is it powered, is its id as configured?") from error
+        causes = {
+            "timeout": ": is it powered? `pliant servos scan` lists ids and baud rates that answer",
+            "corrupt": f". {SAME_ID}",
+        }
+        if error.reason not in causes:
+            raise
+        raise ServoError(f"{error}{causes[error.reason]}") from error
     return register.decode(reply.data)
 
 

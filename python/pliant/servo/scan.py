@@ -135,7 +135,7 @@ class _IdScan:
         """Return the servos that answer, in the order of the ids.
 
         Raises:
-            ServoError: The line is never silent.
+            ServoError: The line is never silent, or every id has a corrupt reply.
         """
         self._is_silent = False
         if not self._wait_for_silence():
@@ -153,6 +153,8 @@ class _IdScan:
                     known[number] = self._identify(number)
         servos = [servo for number in ids if (servo := known.get(number)) is not None]
         if len(servos) > 1 and all(servo.note == SAME_ID_NOTE for servo in servos):
+            if len(servos) == len(ids):
+                raise ServoError(f"{self._port}: {BAD_LINE_NOTE}; or this is no servo adapter")
             servos = [replace(servo, note=BAD_LINE_NOTE) for servo in servos]
         return servos
 

@@ -103,6 +103,8 @@ class ServoSpec:
         torque_offset: Torque lost in the gears [N·m]: joint torque is limit register times torque
             per unit, minus this.
         kp: Identified joint stiffness [N·m/rad]; None: it is computed from the gain register.
+        gain: Gain register with which `kp` was identified; `kp` follows the register of the servo.
+            None: `kp` is that of the present gain.
         friction: Identified dry friction [N·m]; None: the value of the model.
         damping: Identified viscous damping of the gears [N·m·s/rad]; None: the value of the model.
         calibration: LeRobot's calibration of this joint; checked against the servo at open.
@@ -124,6 +126,7 @@ class ServoSpec:
     stall: float | None = None
     torque_offset: float = 0.0
     kp: float | None = None
+    gain: int | None = None
     friction: float | None = None
     damping: float | None = None
     calibration: Calibration | None = None
@@ -482,7 +485,13 @@ def servos_from_units(
     friction = np.array([unit.row.mechanics.friction for unit in units]) * ratio
     stiffness = np.array([u.stiffness(g) for u, g in zip(units, gains, strict=True)])
     return Servos(
-        kp=_identified(stiffness, [unit.spec.kp for unit in units]),
+        kp=_identified(
+            stiffness,
+            [
+                u.spec.kp and u.spec.kp * g / (u.spec.gain or g)
+                for u, g in zip(units, gains, strict=True)
+            ],
+        ),
         max_torque=torque,
         friction=_identified(friction, [unit.spec.friction for unit in units]),
         damping=_identified(damping, [unit.spec.damping for unit in units]),

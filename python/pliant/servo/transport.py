@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import sys
 from contextlib import suppress
+from glob import glob
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 from pliant._core import ServoError
@@ -334,7 +335,7 @@ def drop_port(path: str) -> None:
 
 
 def serial_ports() -> tuple[str, ...]:
-    """Return the serial ports of this machine: paths, on Linux stable names first, or COM3."""
+    """Return the serial ports of this machine, each once; on Linux by its stable name, if any."""
     if sys.platform == "win32":
         import winreg
 
@@ -345,9 +346,8 @@ def serial_ports() -> tuple[str, ...]:
         with key:
             count = winreg.QueryInfoKey(key)[1]
             return tuple(sorted(str(winreg.EnumValue(key, i)[1]) for i in range(count)))
-    from pathlib import Path
-
-    found = sorted(str(p) for p in Path("/dev/serial/by-id").glob("*"))
-    for pattern in ("ttyUSB*", "ttyACM*", "tty.usb*"):
-        found += sorted(str(p) for p in Path("/dev").glob(pattern))
-    return tuple(found)
+    found: dict[str, str] = {}
+    for pattern in ("serial/by-id/*", "ttyUSB*", "ttyACM*", "tty.usb*"):
+        for path in sorted(glob(f"/dev/{pattern}")):
+            found.setdefault(os.path.realpath(path), path)
+    return tuple(found.values())

@@ -31,7 +31,7 @@ def save(path: Path, arm: str, planned: Sequence[RegisterChange]) -> None:
         OSError: The file cannot be written.
     """
     if path.exists():
-        raise ConfigError(f"{path} exists: old values would be lost; give another --backup")
+        raise ConfigError(f"{path} exists, and keeps the old values in it: give another --backup")
     data = {"format": FORMAT, "arm": arm, "changes": [asdict(change) for change in planned]}
     try:
         with replacing(path) as temporary:

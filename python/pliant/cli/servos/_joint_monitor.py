@@ -56,7 +56,7 @@ class JointMonitor:
             if opened is not None and closed is not None:
                 self._limits[config.gripper.joint] = min(opened, closed), max(opened, closed)
         self.position = np.full(len(names), np.nan)
-        self._reference = self.position.copy()
+        self._reference, self._ok = self.position.copy(), np.isfinite(self.position)
         self.last_motion = ""
 
     def update(self, position: Array, ok: Mask) -> bool:
@@ -65,7 +65,7 @@ class JointMonitor:
         A joint has moved if its angle differs by `MIN_MOTION` or more from the angle at the last
         call that returned True.
         """
-        self.position = np.where(ok, position, self.position)
+        self.position, self._ok = np.where(ok, position, self.position), ok
         self._reference = np.where(np.isnan(self._reference), self.position, self._reference)
         motion = np.nan_to_num(self.position - self._reference)
         joint = int(np.argmax(np.abs(motion)))
@@ -79,7 +79,7 @@ class JointMonitor:
     def rows(self) -> Iterator[tuple[str, str, str, str]]:
         """Yield per joint: name, angle, limits, and motion of the tool as the angle grows."""
         phrases = self._directions()
-        for name, q in zip(self.names, self.position, strict=True):
+        for name, q, ok in zip(self.names, self.position, self._ok, strict=True):
             low, high = self._limits.get(name, (-np.inf, np.inf))
             span = f"{low:+.2f} to {high:+.2f}" if np.isfinite([low, high]).all() else "none"
             outside = (
@@ -87,7 +87,7 @@ class JointMonitor:
                 if np.isnan(q) or low - LIMIT_TOLERANCE <= q <= high + LIMIT_TOLERANCE
                 else ", outside"
             )
-            angle = "no answer" if np.isnan(q) else f"{q:+.2f} rad ({np.degrees(q):+.0f}°)"
+            angle = f"{q:+.2f} rad ({np.degrees(q):+.0f}°)" if ok else "no answer"
             yield name, angle, span + outside, phrases.get(name, "")
 
     @property

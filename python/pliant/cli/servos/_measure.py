@@ -10,7 +10,7 @@ import numpy as np
 
 from pliant import identify
 from pliant._core import ConfigError, Controller, Settings
-from pliant.cli._measurements import per_joint
+from pliant.cli._measurements import MIN_HEIGHT, height_error, per_joint
 from pliant.config._soft import apply_soft
 from pliant.identify._leads import lead_procedure, solve_weight
 from pliant.loop import LatenessHistogram, Loop
@@ -41,8 +41,6 @@ MIN_PUSH = 0.02
 #: Smallest motion of the tool in a push, divided by the motion in which the servos build up the cap
 #: [1].
 MIN_PUSH_SHARE = 1.5
-#: Smallest height of the tool above a table in the pose of the session [m].
-MIN_HEIGHT = 0.15
 #: Smallest reading of the scale, and smallest mass of the weight [g].
 MIN_READING, MIN_WEIGHT = 1.0, 20.0
 #: Largest reading and largest mass, as shares of what the servos can hold by their table [1].
@@ -126,13 +124,9 @@ class Session:
             while self.keys.line() is None:
                 time.sleep(0.05)
             self.home = self.arm.model.forward_kinematics(self.arm.read().q)
-            table = self.arm.table
-            if table is None or self.home[2, 3] - table >= MIN_HEIGHT:
+            if (error := height_error(self.arm)) is None:
                 return
-            self.say(
-                f"the tool is {(self.home[2, 3] - table) * 100:.0f} cm above the table, needed are "
-                f"{MIN_HEIGHT * 100:.0f} cm: hold it higher and press Enter"
-            )
+            self.say(f"{error} and press Enter")
 
     def _servos(self) -> None:
         if self._confirm("the arm swings every joint by 0.1 rad and jumps its goals, 2 to 3 min"):

@@ -10,7 +10,7 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from pliant._core import ConfigError
+from pliant._core import ConfigError, ServoError
 from pliant.cli._console import print_line
 from pliant.cli._flags import ArmName, BusFlags, File, Ids
 from pliant.cli.servos import _backup as backups
@@ -84,20 +84,39 @@ def run(
         _show(console, planned)
         if not (yes or _confirm(console)):
             _cancel()
+        name, flags = shlex.quote(arm), override.as_arguments()
         if undo is None:
             backups.save(backup, arm, planned)
+            # Before the first write, so that it is known after an interruption too.
+            restore = ["pliant servos setup", name, "--undo", shlex.quote(str(backup)), *flags]
+            print_line(f"old values in {backup}; this puts them back: {' '.join(restore)}", console)
+        _write(ports, specs, planned)
+    console.print(f"{len(planned)} registers written and read back")
+    check = " ".join(["pliant servos doctor", name, "--watch", *flags])
+    print_line(f"before torque on, check the directions of the joints: {check}", console)
+
+
+def _write(ports: _Ports, specs: list[ServoSpec], planned: list[RegisterChange]) -> None:
+    """Write all planned changes; an error of one servo does not prevent those of the others.
+
+    Raises:
+        ServoError: Some changes were not written; the message names them.
+    """
+    errors = []
+    try:
         for spec in specs:
             for number, _ in spec.servos:
                 changes = [c for c in planned if c.joint == spec.name and c.id == number]
-                write_changes(ports[spec.port], spec.row.family, changes)
-    console.print(f"{len(planned)} registers written and read back")
-    name = shlex.quote(arm)
-    check = " ".join(["pliant servos doctor", name, "--watch", *override.as_arguments()])
-    print_line(f"before torque on, check the directions of the joints: {check}", console)
-    if undo is None:
-        file = shlex.quote(str(backup))
-        restore = " ".join(["pliant servos setup", name, "--undo", file, *override.as_arguments()])
-        print_line(f"old values in {backup}; this puts them back: {restore}", console)
+                try:
+                    write_changes(ports[spec.port], spec.row.family, changes)
+                except ServoError as error:
+                    errors.append(str(error))
+    except KeyboardInterrupt:
+        Console(stderr=True).print("interrupted: the same command shows what is left to write")
+        raise
+    if errors:
+        rest = "the same command shows what is left to write"
+        raise ServoError("\n".join([*dict.fromkeys(errors), rest]))
 
 
 def _ids(text: str) -> tuple[int, int]:
