@@ -23,7 +23,7 @@ from pliant._core import (
 )
 from pliant._processes import check_real_time_priority, real_time_priority
 from pliant._validation import format_value, real
-from pliant.arm._checks import check_same_robot, longest_command_age, vector
+from pliant.arm._checks import TORQUE_OFF, check_same_robot, longest_command_age, vector
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -36,8 +36,6 @@ if TYPE_CHECKING:
 
 
 LOG = logging.getLogger("pliant")
-#: Message where a loop runs over an arm without torque.
-TORQUE_OFF = "torque is off: use `with connect(...) as arm`, or arm.enable()"
 #: Time without new positions after which the controller is reset to the present pose [s].
 RESTART = 0.25
 #: Time step of the first controller step after a reset [s]. Goals move at a limited speed; in this
@@ -294,7 +292,8 @@ class Loop:
         ConfigError: The controller's model is of another robot than the arm's (masses, limits,
             payload, gravity, base and tip may differ). The rate is below 1 Hz, or its period is
             not a multiple of a simulated arm's period; or a time is negative or not a number; or
-            the priority is out of range. While iterating: the system does not permit the priority.
+            the priority is out of range. While iterating: the system does not permit the priority,
+            or another loop over the arm has begun.
         ServoTimeoutError: While looping: positions or commands are missing, or the program stalled.
         ServoFaultError: While looping: a servo reports a fault, or is too hot.
 
@@ -360,7 +359,6 @@ class Loop:
         self.missed = self.missing = self.rejected = self.restarts = 0
         self.delay: float | None = None
         self._reported_delay: float | None = None
-        self._check: Callable[[], None] = _never
         self._delays: list[float] = []
         self._recorder = recorder
         self.controller: Any = controller
@@ -368,8 +366,8 @@ class Loop:
             self.controller = recorder.start(arm, controller, rate)
 
     @contextmanager
-    def _supervised(self) -> Iterator[None]:
-        """Return a context with the supervisor thread; the recorder is closed at its end."""
+    def _supervised(self) -> Iterator[Callable[[], None]]:
+        """Return `Arm.supervised` as a context that closes the recorder at its end."""
         if not self._arm.enabled:
             raise ServoError(TORQUE_OFF)
         patience = max(self._max_step_time, self._arm.comm_timeout) + self.period + GRACE
@@ -378,9 +376,9 @@ class Loop:
             # The supervisor's thread inherits the priority: it must be able to interrupt a stall.
             with (
                 real_time_priority(self._realtime_priority),
-                self._arm.supervised(patience) as self._check,
+                self._arm.supervised(patience) as check,
             ):
-                yield
+                yield check
             ended = True
         finally:
             if self._recorder is not None:
@@ -420,7 +418,7 @@ class Loop:
         arm, clock, shortest = self._arm, self._arm.clock, 0.1 * self.period
         last: float | None = None
         first: float | None = None
-        with self._supervised():
+        with self._supervised() as check:
             begin = deadline = clock.now()
             commanded, before, index = begin, begin, 0
             while self.duration is None or deadline - begin < self.duration - 1e-9:
@@ -449,7 +447,7 @@ class Loop:
                     finally:
                         if self._recorder is not None:
                             self._recorder.add(tick, tick.command)
-                    self._check()
+                    check()
                     index += 1
                     done = clock.now()
                     if done - now > self._max_step_time:
@@ -585,10 +583,6 @@ class Loop:
             tell = getattr(self.controller, "set_delay", None)
             if tell is not None:
                 tell(self.delay)
-
-
-def _never() -> None:
-    """Do nothing; placeholder for the check of the arm's supervisor until the loop runs."""
 
 
 def _divides(grain: float, period: float) -> bool:

@@ -546,9 +546,9 @@ def quick(monkeypatch, io):
 
 def test_an_arm_goes_through_its_life(quick):
     handler = signal.getsignal(signal.SIGINT)
-    assert "torque off" in repr(quick)
+    assert "not enabled" in repr(quick)
     with quick:
-        assert "torque on" in repr(quick)
+        assert "joints, enabled" in repr(quick)
         assert quick.drive.calls == ["open", "enable", 0.3]
         assert quick._supervisor.heartbeat[1] == 0.0
         assert signal.getsignal(signal.SIGINT) != handler
@@ -560,7 +560,7 @@ def test_an_arm_goes_through_its_life(quick):
     assert [level for _, level in quick.texts] == [logging.DEBUG] * 2
     assert signal.getsignal(signal.SIGINT) == handler
     assert not quick.enabled
-    assert "torque off" in repr(quick)
+    assert "not enabled" in repr(quick)
 
 
 def test_a_fault_that_comes_during_the_descent_is_told_once(quick, monkeypatch):
@@ -613,6 +613,15 @@ def test_a_slow_bus_and_a_wrong_stiffness_are_warned_of_at_torque_on(quick, monk
     quick.disable_torque()
 
 
+def test_messages_of_a_real_arm_name_its_ports(quick):
+    quick.drive.outlives_program = True
+    quick.drive.specs = [SimpleNamespace(port=port) for port in ("left", "left", "right")]
+    with quick:
+        pass
+    assert quick.texts[0][0].startswith("so101_like (left, right) is being lowered")
+    assert quick.texts[-1][0].startswith("so101_like (left, right) was lowered: torque OFF")
+
+
 def test_an_aborted_descent_holds_the_arm_and_says_so(quick):
     quick.is_down = False
     quick.enable()
@@ -641,6 +650,11 @@ def test_a_failed_descent_holds_the_arm_and_names_its_joints(quick, error, text)
     assert quick.drive.calls == ["write", 0.0]
     assert text in quick.texts[-1][0]
     assert not quick.enabled
+    with pytest.raises(pliant.ServoError, match=r"failed, torque may be ON: arm\.enable\(\)"):
+        quick.lower()
+    quick.error = None
+    quick.enable()
+    quick.lower()
 
 
 def test_an_error_of_the_program_carries_how_the_arm_was_left(quick):

@@ -659,7 +659,7 @@ class Taken:
     def __init__(self, monkeypatch, count, error):
         self.left, self.error, self.time, self.reasons = count, error, 0.0, []
         self.waits, self.closed, self.messages = [], 0, []
-        self.drive, self.model = self, SimpleNamespace(name="so101")
+        self.drive, self._label = self, "so101"
         monkeypatch.setattr(_guardian_process.time, "monotonic", lambda: self.time)
         monkeypatch.setattr(_guardian_process.time, "sleep", self.sleep)
         monkeypatch.setattr(MESSAGES, "post", lambda text, _: self.messages.append(text))

@@ -142,6 +142,20 @@ def test_a_loop_over_an_arm_that_the_program_lowered_says_that_torque_is_off(mak
             next(ticks)
 
 
+@pytest.mark.parametrize("is_same", [False, True])
+def test_a_loop_within_a_loop_over_the_same_arm_is_refused(make, is_same):
+    with make() as arm:
+        outer = pliant.Loop(arm)
+        inner = outer if is_same else pliant.Loop(arm, duration=0.1)
+        ticks = iter(outer)
+        for tick in (next(ticks), next(iter(inner))):
+            tick.skip()
+        with pytest.raises(pliant.ConfigError, match="another loop over this arm"):
+            next(ticks)
+        for tick in pliant.Loop(arm, duration=0.1):  # one after the other
+            tick.skip()
+
+
 class SlowRecorder:
     """A recorder whose end takes until the torque of an arm is off, or for 5 s."""
 

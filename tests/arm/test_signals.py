@@ -51,6 +51,25 @@ def test_a_signal_lowers_the_arm_and_the_handlers_come_back(name):
     assert result.returncode in {expected, 130}
 
 
+def test_a_default_handler_that_the_program_puts_back_does_not_end_a_descent():
+    result = run("""
+        def once():
+            arm.drive.clock.on_tick = None
+            os.kill(os.getpid(), signal.SIGINT)
+        arm.enable()
+        # As Jupyter does in each cell.
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        arm.drive.clock.wait_until(1.0)
+        arm.drive.clock.on_tick = once
+        try:
+            arm.lower()
+        except KeyboardInterrupt:
+            report()
+        print(signal.getsignal(signal.SIGINT) is signal.default_int_handler)
+    """)
+    assert result.stdout.split() == ["False", "False", "True", "True"], result.stderr
+
+
 def test_a_signal_during_the_descent_waits_for_the_ground():
     result = run("""
         def once():
@@ -165,6 +184,7 @@ def test_a_signal_other_than_ctrl_c_stays_pending(monkeypatch):
 @pytest.mark.parametrize("cause", [KeyboardInterrupt, SystemExit])
 def test_a_descent_that_ctrl_c_caused_has_announced_the_next_one(monkeypatch, cause):
     presses, announcement = Presses(monkeypatch, leaving=False), SimpleNamespace(is_written=True)
+    monkeypatch.setattr(signal, "signal", lambda *_: None)  # the handler of the tests stays
     try:
         raise cause
     except cause:

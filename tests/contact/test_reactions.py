@@ -211,6 +211,42 @@ def test_calls_come_once_and_the_first_reaction_matters_most():
     assert len(watch.log) == 0
 
 
+def test_an_action_that_raises_undoes_those_before_it():
+    watch = rx.ReactionMonitor(
+        controller(),
+        [
+            rx.Reaction(rx.After(0.3), [rx.Yield("z", {"soft": 2.0}), rx.Call(lambda _: 1 / 0)]),
+            rx.Reaction(rx.After(0.1), rx.Hold()),
+        ],
+    )
+    before, expected = watch.controller.settings, away(0.05)
+    targets(watch, 30, expected)
+    assert watch.active is watch.reactions[1]
+    with pytest.raises(ZeroDivisionError):
+        watch.update(VERTICAL, expected)
+    assert watch.controller.settings == before
+    # The reaction that was in force has ended, and the target returns without a jump.
+    assert watch.active is None
+    sent_targets = targets(watch, 60, expected)
+    back = np.diff([TARGET[0, 3], *(pose[0, 3] for pose in sent_targets)])
+    assert back.max() <= 0.1 * 0.01 + 1e-12
+    assert sent_targets[-1] is expected
+
+
+def test_a_position_as_target_is_given_back_as_soon_as_a_pose():
+    q = np.array(VERTICAL) + 0.3  # the tool is turned
+    ctl = pliant.Controller(arm(), pliant.Settings(task="xyz"))
+    ctl.reset(q)
+    pose, is_back = arm().forward_kinematics(q), []
+    pose[0, 3] += 0.02
+    watch = rx.ReactionMonitor(ctl, [rx.Reaction(rx.After(0.1) & ~rx.After(0.2), rx.Hold())])
+    for target in (pose, pose[:3, 3]):
+        watch.reset()
+        is_back.append([watch.update(q, target) is target for _ in range(120)])
+    assert True in is_back[0][60:]
+    assert is_back[0] == is_back[1]
+
+
 def test_bad_readings_change_nothing():
     watch = run_monitor(rx.Hold(), rx.ResidualAbove())
     targets(watch, 5)

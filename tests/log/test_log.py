@@ -15,6 +15,7 @@ import pliant
 from pliant.cli import main
 from pliant.log import Recorder, read, verify
 from pliant.log.reader import arguments
+from pliant.reactions import After, Reaction, Yield
 
 parquet = pytest.importorskip("pyarrow.parquet")
 rosbags = pytest.importorskip("rosbags.highlevel")
@@ -52,6 +53,20 @@ def record(path, ticks=40, **options):
             tick.write(command)
         assert recorder.dropped == 0
     return read(path)
+
+
+def test_settings_that_a_reaction_changes_are_in_the_log(tmp_path):
+    with bare_arm("arm7", q=START) as arm:
+        controller = pliant.Controller(arm.model, pliant.Settings.soft("y"), arm.servos)
+        recorder = Recorder(tmp_path / "run.mcap")
+        loop = pliant.Loop(arm, controller, duration=0.3, recorder=recorder)
+        reaction = Reaction(After(0.1), Yield("z", {"soft": 2.0}))
+        watch = pliant.ReactionMonitor(loop.controller, [reaction])
+        pose = arm.model.forward_kinematics(arm.read().q)
+        for tick in loop:
+            tick.step(watch.update(tick.q, pose, dt=tick.dt))
+    assert controller.settings.axes["z"].soft == (2.0, 2.0)
+    assert verify(read(recorder.path)).same
 
 
 @pytest.fixture(scope="module")

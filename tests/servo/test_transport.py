@@ -361,6 +361,12 @@ def test_a_port_that_cannot_be_opened_has_its_remedy(text, remedy):
     assert remedy in transport._cannot_open("p", text)
 
 
+def test_a_port_that_this_program_has_open_is_told_apart(monkeypatch):
+    monkeypatch.setattr(transport, "_descriptors", lambda path: {7} if path == "p" else set())
+    for port, what in (("p", "another arm or bus of this program"), ("q", "another program")):
+        assert f"{port} is in use by {what}: close" in transport._cannot_open(port, "busy")
+
+
 @pytest.mark.parametrize(
     ("error", "is_closed", "reason", "text"),
     [

@@ -117,6 +117,9 @@ def test_a_contact_stops_it_until_it_is_told_to_go_on():
     message = str(error.value)
     # The message names no argument of `ContactEstimator`, and the bound in it is accepted.
     assert not {"accept", "guard", "touch", "kp_error"} & set(re.findall(r"\w+", message))
+    for wait in ((1.0, np.nan), (np.nan, 1.0), (0.0, 1.0), (1.0, np.inf), (1.0,), 0.03):
+        with pytest.raises(pliant.PliantError, match="wait"):
+            Replay(controller, still_motion, wait=wait)
     Replay(controller, still_motion, stop=float(message.split("[")[2].split(",", maxsplit=1)[0]))
 
 
@@ -152,6 +155,15 @@ def test_trim_smooth_and_interpolate():
     np.testing.assert_array_equal(wave().at(99.0), wave().q[-1])
     with pytest.raises(pliant.ConfigError, match="nothing moved"):
         replace(motion, q=np.zeros((600, 5))).trimmed()
+
+
+def test_interpolation_does_not_overshoot_the_samples():
+    time, q = np.array([0.0, 1.0, 1.02, 9.0, 9.02, 10.0]), np.tile(START, (6, 1))
+    q[2:4, 0] = MODEL.upper[0]
+    motion = replace(wave(), time=time, q=q, extra={})
+    positions = np.array([motion.at(t)[0] for t in np.linspace(0.0, 10.0, 2001)])
+    assert positions.min() >= 0.0
+    assert positions.max() <= MODEL.upper[0]
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from pliant._typing import Array
 
 
+#: Message where an arm is used that is not enabled.
+TORQUE_OFF = "torque is off, or was left on: use `with connect(...) as arm`, or arm.enable()"
 #: Type of joint vectors.
 FLOAT = np.dtype(np.float64)
 #: Distance by which an accepted joint position may exceed its limits [rad].

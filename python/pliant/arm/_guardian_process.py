@@ -192,7 +192,7 @@ def take_over(arm: Arm, reason: str, program: Program) -> None:
             # A program that has not ended yet still locks the port.
             if time.monotonic() > deadline:
                 MESSAGES.post(
-                    f"{arm.model.name} was not lowered by its guardian ({reason}; {brief(error)}): "
+                    f"{arm._label} was not lowered by its guardian ({reason}; {brief(error)}): "
                     f"torque may be ON. {RECOVER}",
                     logging.WARNING,
                 )

@@ -101,8 +101,9 @@ class ExitMessages:
         # Ignore every error here: an error in a message must not end the descent.
         with contextlib.suppress(Exception):
             where = PHASES.get(lowering.phase, lowering.phase)
+            name, *_ = self._name.partition(" (")  # a terminal has no room for ports
             MESSAGES.post(
-                f"{self._name}: {where}, {self._height_change()}, {self._elapsed():.0f} s",
+                f"{name}: {where}, {self._height_change()}, {self._elapsed():.0f} s",
                 self._detail,
                 progress=True,
             )

@@ -93,7 +93,7 @@ class Signals:
     def hold(self) -> None:
         """Store signals until `deliver`: an exception could keep the arm from being lowered."""
         if self.installed:
-            self.leaving = True
+            _REGISTRY.begin(self, None)
 
     def begin(self, announcement: Message | None) -> None:
         """Mark the arm as being lowered; `announcement` is the message that told the user so.
@@ -175,6 +175,12 @@ class Registry:
         If a Ctrl-C caused the descent, `announcement` told the user that the next one aborts it.
         """
         arm.leaving = True
+        handler = signal.getsignal(signal.SIGINT)
+        is_main = threading.current_thread() is threading.main_thread()
+        # Jupyter sets the default handler in each cell; it would raise within the descent.
+        if handler is signal.default_int_handler and is_main:
+            self._before[signal.SIGINT] = handler
+            signal.signal(signal.SIGINT, self._catch)
         if self._announced is None and is_interrupted(sys.exception()):
             self._announced = announcement
 

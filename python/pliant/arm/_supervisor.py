@@ -10,7 +10,7 @@ import threading
 import time
 from typing import TYPE_CHECKING
 
-from pliant._core import ServoError, ServoTimeoutError
+from pliant._core import ConfigError, ServoError, ServoTimeoutError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -179,24 +179,33 @@ class Supervisor:
     def supervised(self, timeout: float | None) -> Iterator[Callable[[], None]]:
         """Run a watchdog thread that calls `leave` after `timeout` [s] without access to the drive.
 
-        The context yields the method `check`; with `timeout` None, no thread runs. The thread
-        survives an exception in the context, because the program may block before it lowers the
-        arm. It ends with `end_supervision`, with the next `supervised`, or after the call of
-        `leave`.
+        The context yields a `check` that also rejects a context that has begun since. With
+        `timeout` None, no thread runs. The thread survives an exception in the context, because the
+        program may block before it lowers the arm. It ends with `end_supervision`, with the next
+        `supervised`, or after the call of `leave`.
         """
         self.end_supervision()
+        done = self._done = threading.Event()
+
+        def check() -> None:
+            if self._done is not done:
+                raise ConfigError(
+                    "another loop over this arm has begun meanwhile: end one loop before the next"
+                )
+            if self.reason is not None or not _NOT_FORKED[0]:
+                self.check()
+
         if timeout is None:
-            yield self.check
+            yield check
             return
         self.heartbeat[1] = timeout
-        done = self._done = threading.Event()
         self._last_call = time.perf_counter()
         thread = threading.Thread(
             target=self._run, args=(timeout, done), name="pliant-supervisor", daemon=True
         )
         thread.start()
         try:
-            yield self.check
+            yield check
         except GeneratorExit:
             self._end(done)
             raise

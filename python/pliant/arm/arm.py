@@ -14,7 +14,7 @@ import numpy as np
 
 from pliant._core import ArmPoints, ConfigError, ServoError, ServoFaultError
 from pliant._validation import instance, real
-from pliant.arm._checks import check_rest, path_obstacle, posture, times
+from pliant.arm._checks import TORQUE_OFF, check_rest, path_obstacle, posture, times
 from pliant.arm._guardian import Guardian, is_available
 from pliant.arm._io import ArmIO
 from pliant.arm._messages import MESSAGES
@@ -343,6 +343,10 @@ class Arm:
         A second Ctrl-C aborts the descent; torque then stays on.
         """
         if not self.enabled:
+            if self._is_unfinished:
+                raise ServoError(
+                    "the last descent failed, torque may be ON: arm.enable() takes the arm over"
+                )
             return
         error, signals = sys.exception(), self._signals
         messages = self._exit_messages(self._supervisor.reason or exit_cause(error))
@@ -444,8 +448,15 @@ class Arm:
         values = np.broadcast_to(getattr(self.drive, mask, default), len(names))
         return [name for name, value in zip(names, values, strict=True) if value]
 
+    @property
+    def _label(self) -> str:
+        """Name in messages; real arms of one model differ by their ports."""
+        is_real = getattr(self.drive, "outlives_program", False)
+        ports = dict.fromkeys(s.port for s in getattr(self.drive, "specs", ()) if is_real)
+        return self.model.name + (f" ({', '.join(ports)})" if ports else "")
+
     def _exit_messages(self, cause: str | None) -> ExitMessages:
-        return ExitMessages(self.model.name, self._io, cause)
+        return ExitMessages(self._label, self._io, cause)
 
     def _reachable(self, rest: Array | None) -> Array | None:
         """Return `rest` if the path to it is clear of the table; else set `detour`, return None."""
@@ -539,9 +550,9 @@ class Arm:
         self.close()
 
     def __repr__(self) -> str:
-        """Return model name, number of joints and torque state in one line."""
-        torque = "on" if self.enabled else "off"
-        return f"<Arm {self.model.name}, {self.model.n} joints, torque {torque}>"
+        """Return model name, number of joints and whether the arm is enabled in one line."""
+        state = "" if self.enabled else "not "
+        return f"<Arm {self.model.name}, {self.model.n} joints, {state}enabled>"
 
     def __enter__(self) -> Arm:
         try:
@@ -690,7 +701,7 @@ class Arm:
     def _check_enabled(self) -> None:
         """Raise an error if torque is off; the caller has entered the supervisor's context."""
         if self._supervisor.owner is None:
-            raise ServoError("torque is off: use `with connect(...) as arm`, or arm.enable()")
+            raise ServoError(TORQUE_OFF)
 
 
 def _end_at_the_caller(error: KeyboardInterrupt) -> None:

@@ -97,10 +97,16 @@ class _InForce:
 
     def __init__(self, index: int, reaction: Reaction, tick: TickContext) -> None:
         self.index, self.reaction = index, reaction
-        self._running: list[Running] = [action.begin(tick) for action in reaction.actions]
+        self._running: list[Running] = []
         self._is_latching = any(action.is_latching for action in reaction.actions)
         self._until = None if reaction.until is None else reaction.until.evaluator()
         self._time_clear = 0.0
+        try:
+            for action in reaction.actions:
+                self._running.append(action.begin(tick))
+        except BaseException:
+            self.end(tick)
+            raise
 
     def target(self, tick: TickContext) -> Array:
         """Return the target pose (4, 4): the caller's target, changed by each action in turn."""
@@ -135,7 +141,8 @@ class ReactionMonitor:
     reaction, the target moves back to the caller's target at `resume_speed`, without a jump.
 
     Args:
-        controller: Controller whose settings the reactions may change.
+        controller: Controller whose settings the reactions may change, or its wrapper
+            `Loop.controller`.
         reactions: Reactions, the most important first.
         contact: Contact estimator. None: one with default arguments is created if a reaction needs
             a force.
@@ -158,15 +165,16 @@ class ReactionMonitor:
         contact: ContactEstimator | None = None,
         resume_speed: tuple[float, float] = (0.1, 0.5),
     ) -> None:
-        self.controller = instance(controller, Controller, "controller")
+        inner = instance(getattr(controller, "inner", controller), Controller, "controller")
+        self.controller = controller
         if contact is not None:
             instance(contact, ContactEstimator, "contact")
         if not isinstance(reactions, Iterable):
             raise TypeError(f"reactions must be a list of Reaction, got {format_value(reactions)}")
         self.reactions = tuple(instance(reaction, Reaction, "a reaction") for reaction in reactions)
         if contact is None and any(reaction.needs_force for reaction in self.reactions):
-            contact = ContactEstimator(controller)
-        if contact is not None and contact.controller is not controller:
+            contact = ContactEstimator(inner)
+        if contact is not None and contact.controller is not inner:
             raise ConfigError("contact belongs to another controller: create it with this one")
         if not (min(resume_speed) > 0.0 and np.isfinite(resume_speed).all()):
             raise ConfigError(f"resume_speed is two numbers > 0, got {resume_speed!r}")
@@ -273,6 +281,8 @@ class ReactionMonitor:
         controller = self.controller
         pose = functional.as_pose(target).matrix
         tool = controller.model.forward_kinematics(q)
+        if np.shape(target) == (3,):  # a position does not turn the tool
+            pose[:3, :3] = tool[:3, :3]
         wrench, guard = None, 1.0
         if self.contact is not None:
             load, current, sent = measured
@@ -288,7 +298,6 @@ class ReactionMonitor:
         running = self._in_force
         if running is not None and (self._ending or running.over(tick, holds[running.index])):
             self._end(tick, running)
-            self._resuming = True
         self._ending = False
 
     def _start(self, tick: TickContext, holds: list[bool]) -> None:
@@ -310,7 +319,7 @@ class ReactionMonitor:
                 self.log.append(ReactionEvent(tick.time, "began", reaction, tick.wrench))
 
     def _end(self, tick: TickContext, running: _InForce) -> None:
-        self._in_force = None
+        self._in_force, self._resuming = None, True
         running.end(tick)
         self.log.append(ReactionEvent(tick.time, "ended", running.reaction, tick.wrench))
 

@@ -297,6 +297,11 @@ def _cannot_open(port: str, text: str) -> str:
             "$USER; on Arch uucp), log out and in again"
         )
     if "exclusive" in lower or "busy" in lower or "in use" in lower:
+        if _descriptors(port):
+            return (
+                f"{port} is in use by another arm or bus of this program: close() it, or end the "
+                "program; two arms need two ports"
+            )
         return (
             f"{port} is in use by another program: close it (a vendor's wizard, another run); a "
             "guardian that lowers the arm of an ended program takes less than a minute"

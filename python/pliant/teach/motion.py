@@ -119,7 +119,7 @@ class Motion:
     def at(self, time: float) -> Array:
         """Return the joint positions (n,) [rad] at a time [s], clipped to 0 and `duration`.
 
-        The interpolation is cubic, with slopes from the neighbouring samples (Catmull-Rom).
+        The interpolation is cubic (Catmull-Rom), without overshoot (Fritsch and Carlson, 1980).
         """
         if not 0.0 < time < self.duration:
             return np.array(self.q[0 if time <= 0.0 else -1])
@@ -140,7 +140,10 @@ class Motion:
         """Return the velocities (n,) [rad/s] at sample k; 0 at the ends."""
         if k in {0, len(self.time) - 1}:
             return np.zeros(len(self.joints))
-        slope: Array = (self.q[k + 1] - self.q[k - 1]) / (self.time[k + 1] - self.time[k - 1])
+        q, time = self.q[k - 1 : k + 2], self.time[k - 1 : k + 2]
+        before, after = np.diff(q, axis=0) / np.diff(time)[:, None]
+        limit = 3.0 * np.minimum(np.abs(before), np.abs(after)) * (before * after > 0.0)
+        slope: Array = np.clip((q[2] - q[0]) / (time[2] - time[0]), -limit, limit)
         return slope
 
     def validate_for(self, model: Model) -> None:

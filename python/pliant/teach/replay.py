@@ -9,7 +9,7 @@ import numpy as np
 
 from pliant import functional
 from pliant._core import ContactEstimator, OutOfRangeError
-from pliant._validation import AXES, rounded_up
+from pliant._validation import AXES, number, positive, rounded_up, vector
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -75,16 +75,14 @@ class Replay:
         wait: tuple[float, float] = (0.03, 0.25),
         stop: float | None = None,
     ) -> None:
-        if not 0.05 <= speed <= 3.0:
-            raise OutOfRangeError(f"speed must be in [0.05, 3], got {speed:g}")
-        if not (min(wait) > 0.0 and math.isfinite(max(wait))):
-            raise OutOfRangeError(f"wait must be two numbers above 0 [m], [rad], got {wait!r}")
+        speed, bounds = number(speed, "speed", 0.05, 3.0), vector(wait, 2, "wait", "m, rad")
+        positive(bounds.min(), "wait", "m, rad")
         motion.validate_for(controller.model)
         self.motion, self.speed = motion, speed
         self._controller, self._model = controller, controller.model
         names = controller.settings.task.names
         self._rows = [AXES.index(name) for name in names]
-        self._bound = np.array([wait[row >= 3] for row in self._rows])
+        self._bound = bounds[[int(row >= 3) for row in self._rows]]
         self._contact: ContactEstimator | None = None
         if stop is not None:
             axes = "".join(name for name in names if name in "xyz")
