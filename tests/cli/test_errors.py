@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
+from subprocess import PIPE
 
 import pytest
 from programs import Program
@@ -11,11 +14,20 @@ from programs import Program
 import pliant
 from pliant.cli import main
 from pliant.emulator import Device, Emulator
+from pliant.servo.transport import RustypotTransport
 
 rustypot = pytest.importorskip("rustypot", reason="the bus needs the extra servo")
 
 JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")
 HEAD = 'robot.builtin = "so101"\nsettings.task = "xyz"\n[[port]]\npath = "{port}"\n[servo]\n'
+
+#: Program that keeps a port open until its standard input ends.
+HOLD_PORT = """
+import rustypot, sys
+port = rustypot.MxPyController(sys.argv[1], 1_000_000, 0.1)
+print("open", flush=True)
+sys.stdin.read()
+"""
 
 
 def toml(port, *, joints=JOINTS, model="STS3215-7.4V", extra=""):
@@ -79,9 +91,14 @@ def test_no_permission(error_texts, monkeypatch):
 
 def test_port_in_use(error_texts):
     with Emulator(servos(1, 2, 3, 4, 5)) as bus:
-        other = rustypot.MxPyController(bus.port, 1_000_000, 0.1)
-        all_say(error_texts(toml(bus.port)), "is in use by another program", "close it")
-        other.close()
+        own = RustypotTransport(bus.port, 1_000_000, "p1")
+        all_say(error_texts(toml(bus.port)), "is in use by another arm or bus", "close() it")
+        own.close()
+        with subprocess.Popen(
+            [sys.executable, "-c", HOLD_PORT, bus.port], stdin=PIPE, stdout=PIPE
+        ) as other:
+            assert other.stdout.readline()
+            all_say(error_texts(toml(bus.port)), "is in use by another program", "close it")
 
 
 def test_wrong_baud(error_texts):

@@ -362,7 +362,7 @@ def test_a_port_that_cannot_be_opened_has_its_remedy(text, remedy):
 
 
 def test_a_port_that_this_program_has_open_is_told_apart(monkeypatch):
-    monkeypatch.setattr(transport, "_descriptors", lambda path: {7} if path == "p" else set())
+    monkeypatch.setattr(transport, "_OPEN", {os.path.realpath("p")})
     for port, what in (("p", "another arm or bus of this program"), ("q", "another program")):
         assert f"{port} is in use by {what}: close" in transport._cannot_open(port, "busy")
 

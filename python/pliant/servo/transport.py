@@ -96,6 +96,8 @@ class Transport(Protocol):
 
 #: Protocol 1.0: instructions, and number of bytes of a reply without data.
 READ, SYNC_READ, SYNC_WRITE, OVERHEAD = 0x02, 0x82, 0x83, 6
+#: Resolved paths of the ports that this program has open.
+_OPEN: set[str] = set()
 
 
 class RustypotTransport:
@@ -135,6 +137,7 @@ class RustypotTransport:
             self._io: Any = kind(port, baudrate, timeout)
         except (OSError, RuntimeError) as error:
             raise ServoError(_cannot_open(port, str(error))) from error
+        _OPEN.add(os.path.realpath(port))
         # Packets of Protocol 1.0 use the file descriptor of the port if it is known.
         opened = _descriptors(port) - before if protocol == "p1" else set()
         self.serial = SerialPort(opened.pop()) if len(opened) == 1 else None
@@ -203,6 +206,7 @@ class RustypotTransport:
         if self.serial is not None:
             self.serial.close()
         self._io.close()
+        _OPEN.discard(os.path.realpath(self.port))
 
     def _exchange(
         self,
@@ -297,7 +301,7 @@ def _cannot_open(port: str, text: str) -> str:
             "$USER; on Arch uucp), log out and in again"
         )
     if "exclusive" in lower or "busy" in lower or "in use" in lower:
-        if _descriptors(port):
+        if os.path.realpath(port) in _OPEN:
             return (
                 f"{port} is in use by another arm or bus of this program: close() it, or end the "
                 "program; two arms need two ports"
