@@ -80,7 +80,9 @@ def test_no_permission(error_texts, monkeypatch):
 def test_port_in_use(error_texts):
     with Emulator(servos(1, 2, 3, 4, 5)) as bus:
         other = rustypot.MxPyController(bus.port, 1_000_000, 0.1)
-        all_say(error_texts(toml(bus.port)), "is in use by another program", "close it")
+        all_say(
+            error_texts(toml(bus.port)), "in use by another arm or bus of this program", "close()"
+        )
         other.close()
 
 

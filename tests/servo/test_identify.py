@@ -167,7 +167,7 @@ def test_a_port_that_is_not_there(monkeypatch, ports, shown):
 def test_a_port_that_is_taken():
     with Emulator([Device("STS3215", id=1)], clock="steps") as bus:
         spec = ServoSpec(port=bus.port, **PAN)
-        refusal = pytest.raises(ServoError, match="in use by another program")
+        refusal = pytest.raises(ServoError, match="in use by another arm or bus of this program")
         with ServoBus([spec], reply_timeout_min=0.03), refusal:
             ServoBus([spec], reply_timeout_min=0.03).open()
 
