@@ -330,7 +330,9 @@ class World:
                 guardian=self._has_guardian,
             )
             drive.arm = lambda: self.arm
-            scheduler.run(self._live)
+            # `sys.exception()` may stay set after exceptions out of trace functions. That of a
+            # generator ends with it.
+            next(self._generator(scheduler))
         finally:
             for number, handler in before.items():
                 signal.signal(number, handler)
@@ -339,6 +341,10 @@ class World:
         may_be_on = self.may_stay_on() or (not self.guardians and self.needs_guardian())
         assert not self.hardware.on or may_be_on, f"torque is on: {self.messages.texts}"
         return scheduler.steps
+
+    def _generator(self, scheduler):
+        scheduler.run(self._live)
+        yield
 
     def _live(self):
         """Run the program, then the exit handlers of the interpreter."""
