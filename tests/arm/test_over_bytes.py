@@ -424,7 +424,7 @@ def test_joints_that_servos_do_not_carry_are_named(counts, is_told, monkeypatch)
     table = {"scene": [Tabletop(height=0.0)]}
     with arm_over_bytes("sts", [0.0, -0.6, 0.6, 0.6, 0.0], plant=table, zero=zero) as (_, arm):
         arm.enable()
-        told = [text for text in texts if "moved as torque came on (elbow_flex by +0." in text]
+        told = [text for text in texts if "torque did not hold elbow_flex by +0." in text]
         assert bool(told) is is_told
         arm.disable_torque()
         arm.close()

@@ -333,7 +333,10 @@ def test_an_id_that_was_changed_without_an_answer_is_found(tmp_path, capsys):
         bus.faults.clear()
         assert main(setup) == 2
         error = " ".join(capsys.readouterr().err.split())
-        assert "answers to id 5 already: if it is the one, nothing is left to do" in error
+        assert (
+            "answers to id 5 already: connect only the one that is to get it, unless it has it now"
+            in error
+        )
 
 
 def test_an_id_of_two_servos_is_not_changed(tmp_path, capsys):
@@ -360,7 +363,7 @@ def test_a_feetech_servo_that_restarts_while_it_is_set_up_is_reported(tmp_path, 
         setup = ["servos", "setup", str(file), "--yes", "--backup"]
         assert main([*setup, str(tmp_path / "old.json")]) == 2
         error = " ".join(capsys.readouterr().err.split())
-        assert "shoulder_lift (id 2) restarted meanwhile, and may lose its new values" in error
+        assert "shoulder_lift (id 2) restarted: switch the supply off and on" in error
         bus.servo(2).power_up()
         assert [servo.get("operating_mode") for servo in bus.servos] == [0, 1, 0, 0, 0]
         assert main([*setup, str(tmp_path / "more.json")]) == 0

@@ -205,8 +205,7 @@ class LowTorqueWarning:
 #: and after a time without commands [s].
 RAMP_TIME = 0.5
 
-#: Time without a position after which a joint counts as silent [s]; off the chain, after which this
-#: is reported.
+#: Time without a position after which a joint counts as silent, and is reported off the chain [s].
 SILENCE, EXTRA_SILENCE = 0.2, 1.0
 #: Number of reads in which the joints of an ended program should answer at least once.
 RESUME_READS = 5
@@ -265,7 +264,6 @@ class ArmIO:
         # Last reading of all joints.
         self._sample = JointReadings(np.full(size, np.nan), np.zeros(size, dtype=bool), 0.0)
         self._watchdog = 0.0
-        # Joints off the chain that were reported as silent.
         self._silent: set[str] = set()
         # Times of the last bus access and of the last position received, since `set_watchdog` [s].
         self._last_access: float
@@ -593,16 +591,12 @@ class ArmIO:
             self._update_status(status)
 
     def _report_silent(self) -> None:
-        """Warn once of each joint off the chain that is silent: the loop waits for others only."""
+        """Warn once of each joint off the chain that is silent."""
         times = self.positions.time
         for name, i in zip(self.joints.extra, self.joints.off_chain, strict=True):
-            # Not the age: if no joint answers, the line has failed.
             if times.max() - times[i] > EXTRA_SILENCE and name not in self._silent:
                 self._silent.add(name)
-                MESSAGES.post(
-                    f"no answer from {name} for {EXTRA_SILENCE:g} s: look at its plug and cable",
-                    logging.WARNING,
-                )
+                MESSAGES.post(f"no answer from {name}: look at its plug and cable", logging.WARNING)
 
     def _in_drive_order(self, goal: Array, limit: Array) -> tuple[Array, Array]:
         """Extend goals and limits of the chain (n,) to all joints (N,), with values of `orders`.

@@ -29,7 +29,7 @@ LEAD_FACTOR = 2.0
 #: `FIRST_LEAD` is added to the lead of `LEAD_FACTOR`, for the motion until the next goal [rad];
 #: `LARGEST_LEAD` bounds the sum [rad].
 FIRST_LEAD, LARGEST_LEAD = 0.03, 0.8
-#: Motion of a joint while torque came on above which the user is warned [rad].
+#: Motion of a joint as torque comes on above which the user is warned [rad].
 MAX_DISPLACEMENT = 0.15
 #: Ratio of measured to assumed servo stiffness, or inverse ratio, above which the user is warned.
 MISMATCH = 1.5
@@ -196,15 +196,14 @@ def full_lead(torque: Array, kp: Array) -> Array:
 
 
 def displacement(io: ArmIO, start_q: Array) -> str | None:
-    """Return a warning about joints that did not stay near `start_q` (n,) [rad], or None."""
-    moved = io.q - start_q
-    far = np.flatnonzero(np.abs(moved) > MAX_DISPLACEMENT)
-    if not far.size:
+    """Return a warning about joints far from `start_q` (n,), or None."""
+    moved = zip(io.model.joint_names, io.q - start_q, strict=True)
+    found = [f"{name} by {x:+.2f} rad" for name, x in moved if abs(x) > MAX_DISPLACEMENT]
+    if not found:
         return None
-    found = ", ".join(f"{io.model.joint_names[i]} by {moved[i]:+.2f} rad" for i in far)
     return (
-        f"joints moved as torque came on ({found}), their servos did not carry them: signs or "
-        "zeros are wrong (`pliant servos doctor ARM --watch`), or a load is too heavy"
+        f"torque did not hold {', '.join(found)}: signs or zeros are wrong (`pliant servos "
+        "doctor ARM --watch`), or a load is too heavy"
     )
 
 

@@ -233,11 +233,9 @@ def _plain(value: Any) -> Any:
 
 
 def height_error(arm: Arm) -> str | None:
-    """Return a text if the tool is too low above a table for joints to swing, else None."""
+    """Return an error text if the tool is too low above a table for joints to swing."""
     height = arm.model.forward_kinematics(arm.read().q)[2, 3] - (arm.table or 0.0)
     if arm.table is None or height >= MIN_HEIGHT:
         return None
-    return (
-        f"the tool is {height * 100:.0f} cm above the table, needed are {MIN_HEIGHT * 100:.0f} cm: "
-        "hold it higher"
-    )
+    needed = f"needed are {MIN_HEIGHT * 100:.0f} cm: hold it higher"
+    return f"the tool is {height * 100:.0f} cm above the table, {needed}"

@@ -116,8 +116,7 @@ def _servo_lines(
 ) -> list[str]:
     """Return TOML lines for the table [servo]: measured stiffness, friction and damping.
 
-    A joint whose stiffness is not identified keeps its line in the file, with or without `kp`.
-    `gains` are the gain registers of the servos by joint, to which `kp` belongs.
+    A joint whose stiffness is not identified keeps its `kp`. `gains` are those of the servos.
     """
     if not arm_config.servo:
         return ["", "# the file has no table [servo]: the built-in servos cannot be changed"]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant._core import Command, ConfigError, OutOfRangeError, ServoError
+from pliant._core import Command, OutOfRangeError, ServoError
 from pliant._validation import number
 
 if TYPE_CHECKING:
@@ -322,13 +322,11 @@ def triangle(phase: ArrayLike) -> tuple[Array, Array]:
     """
     phase = np.asarray(phase, dtype=np.float64)
     grid = np.linspace(0.0, 1.0, 2001)
-    distance = np.abs((grid - 0.25 + 0.25) % 0.5 - 0.25)  # to the nearest reversal, in periods
+    distance = np.abs(grid % 0.5 - 0.25)  # to the nearest reversal, in periods
     speed = np.clip(distance / (0.5 * REVERSAL_SHARE), 0.0, 1.0)
     sign = np.where((grid > 0.25) & (grid < 0.75), -1.0, 1.0)
     slope = sign * speed
     wave = np.concatenate([[0.0], np.cumsum(0.5 * (slope[1:] + slope[:-1]) * np.diff(grid))])
     peak = wave.max()
-    if peak <= 0.0:
-        raise ConfigError("a triangle needs a phase")
     cycle = phase % 1.0
     return np.interp(cycle, grid, wave / peak), np.interp(cycle, grid, slope / peak)

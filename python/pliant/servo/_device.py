@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 #: Difference between the temperature limit of a servo and the temperature from which on its torque
 #: is not switched on [°C].
 HEAT_MARGIN = 2.0
-#: Lowest plausible temperature limit of a servo [°C]; the makers' are 65 to 80.
+#: Lowest plausible temperature limit of a servo [°C].
 MIN_TEMPERATURE_LIMIT = 50.0
 #: Longest undervoltage that is not reported as a fault [s].
 UNDERVOLTAGE_GRACE = 0.5
@@ -35,9 +35,6 @@ MISMATCH_TIME, MISMATCHES = 0.5, 3
 MAX_JUMPS = 3
 #: Value of the register Bus Watchdog after it has tripped.
 TRIPPED = 255
-TORQUE_WENT_OFF = (
-    "its torque went off by itself: it restarted or shut down; look at plug and power supply"
-)
 SEAM_TEXT = (
     "it stands past the end of its encoder's range, and a goal would turn it the long way round: "
     "move it back by hand"
@@ -388,7 +385,11 @@ class Device:
             self.torque_on, self.torque_unknown = bool(values["torque_enable"]), False
             went_off = (self._enabled or "torque" in self.other_faults) and not self.torque_on
             if went_off or self.other_faults:
-                self.fault("torque", went_off, TORQUE_WENT_OFF)
+                self.fault(
+                    "torque",
+                    went_off,
+                    "its torque went off by itself: look at plug and power supply",
+                )
             if went_off:
                 # Send no more goals: on some servos a goal switches torque on, and the joint may
                 # have moved far.
