@@ -216,7 +216,9 @@ def resume(devices: Sequence[Device], ports: Ports, budget: float, patience: flo
 def _read_together(
     devices: Sequence[Device], ports: Ports, budget: float
 ) -> tuple[dict[int, list[Reply]], set[int]]:
-    """Read registers `_RESUMED` and position of the servos that one request can read.
+    """Read registers `_RESUMED` and position, with one request per block for servos of one kind.
+
+    Servos that cannot be read like this are left out.
 
     Returns:
         Replies of the servos by their `id`, that with the position last; and the servos whose
@@ -461,7 +463,10 @@ def reboot(devices: Sequence[Device], ports: Ports) -> None:
 
 
 def _try_off(device: Device, ports: Ports) -> str | None:
-    """Switch a servo's torque off and restore its registers; return an error text, or None."""
+    """Switch a servo's torque off and restore its registers; return None if torque is off.
+
+    Otherwise return the text of the error.
+    """
     device.enabled = False
     device.accept_any_position()
     for key in ("torque", "limit", "goal"):
@@ -481,7 +486,10 @@ def _try_off(device: Device, ports: Ports) -> str | None:
 
 
 def _send_off_blindly(device: Device, ports: Ports) -> str:
-    """Send packets that switch a servo's torque off, without reply; return a text about them."""
+    """Send packets that switch a servo's torque off, without waiting for a reply.
+
+    Return a text with the number of packets sent, for messages.
+    """
     register = device.family.registers["torque_enable"]
     guard, sent = ports[id(device)].guard, 0
     for _ in range(OFF_TRIES):
@@ -553,7 +561,11 @@ def _sync_groups(devices: Iterable[Device], ports: Ports) -> list[tuple[Port, li
 def _sync_replies(
     group: Sequence[Device], port: Port, blocks: Sequence[Block]
 ) -> dict[int, list[Reply]]:
-    """Read blocks of registers of servos of one port and kind, with one request per block."""
+    """Read blocks of registers of servos of one port and kind, with one request per block.
+
+    Raises:
+        BusError: A reply is missing or corrupt.
+    """
     replies: dict[int, list[Reply]] = {id(device): [] for device in group}
     for wanted in blocks:
         block, answers, time = port.guard.sync_read([device.id for device in group], wanted)
@@ -563,7 +575,11 @@ def _sync_replies(
 
 
 def _set(device: Device, ports: Ports, name: str, value: int) -> None:
-    """Write a register of a servo as `_send` does."""
+    """Write the register `name` of a servo and wait for the servo's acknowledgement.
+
+    Raises:
+        ServoError: The port is gone, or the servo did not acknowledge or rejected the write.
+    """
     register = device.family.registers[name]
     _send(device, ports, name, register.encode(value), f"{name} = {value}")
 

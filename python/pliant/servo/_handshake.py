@@ -163,7 +163,10 @@ def identify(port: Port) -> tuple[ServoInfo, ...]:
 
 
 def _adapter_note(port: Port) -> str:
-    """Return a warning if the USB adapter holds replies back, else an empty text."""
+    """Return a warning if the USB adapter holds replies back, else an empty text.
+
+    The delay is read from the adapter's latency timer, or measured.
+    """
     guard = port.guard
     if guard.held_back > max(MIN_HOLD_BACK, port.latency or 0.0):
         port.latency = guard.latency = round(guard.held_back, 3)
@@ -181,7 +184,11 @@ def _adapter_note(port: Port) -> str:
 
 
 def _broken(port: Port, broken: list[tuple[Device, BusError]], *, all_of_them: bool) -> list[str]:
-    """Return error texts for servos whose replies are corrupt: some, or all on the port."""
+    """Return error texts for servos whose replies are corrupt, with likely causes.
+
+    If all replies on the port are corrupt (`all_of_them`), the line has an error; if only some are,
+    two servos may have one id.
+    """
     if all_of_them and len(broken) > 1:
         return [
             f"{port.path}: every answer is broken ({broken[0][1]}). Causes: an adapter that "
@@ -239,6 +246,7 @@ def _check(device: Device, image: RegisterImage) -> list[str]:
         )
     if not device.family.multi_turn and image["position_min"] > image["position_max"]:
         errors.append("its position limits are reversed: calibrate it again")
+    # The gain register of a servo without `row.gain` is a compliance slope.
     names = dict.fromkeys((device.family.ceiling, "pwm_limit", *["gain"] * (row.gain > 0.0)))
     return errors + [
         f"its register {name} is 0, so that it has no torque: set it with the maker's tool"
@@ -250,7 +258,8 @@ def _check(device: Device, image: RegisterImage) -> list[str]:
 def _store_initial_values(device: Device, image: RegisterImage) -> None:
     """Store the register values that torque off restores, and the values that torque on writes.
 
-    If torque is on or the limit is 0, those after power-up are restored.
+    If torque is on or the limit is 0, an earlier program or an overload has set limit and speed
+    cap; the values to restore are then those after power-up.
     """
     family = device.family
     device.drive_values = {
@@ -265,7 +274,10 @@ def _store_initial_values(device: Device, image: RegisterImage) -> None:
 
 
 def _supply(device: Device, image: RegisterImage) -> tuple[float, float]:
-    """Return the voltage limits in the EEPROM [V], clipped to those of the data sheet ±0.5 V."""
+    """Return lowest and highest supply voltage [V] at which the servo may be driven.
+
+    They are the limits in the servo's EEPROM, clipped to the range of the data sheet ±0.5 V.
+    """
     lowest, highest = device.row.voltage
     low, high = image["voltage_min"] / 10.0, image["voltage_max"] / 10.0
     return max(low, lowest - 0.5), min(high, highest + 0.5)
@@ -321,7 +333,8 @@ def _store_registers(device: Device, image: RegisterImage) -> ServoInfo:
     row, family = device.row, device.family
     device.ceiling = min(image[family.ceiling], device.units.full)
     if row.limit_type == "current" and image["pwm_limit"] < family.full_duty:
-        # At standstill, torque is proportional to PWM.
+        # Lower the ceiling to the torque at the register PWM Limit; at standstill, torque is
+        # proportional to PWM.
         torque = image["pwm_limit"] / family.full_duty * device.units.usable(device.units.full)
         device.ceiling = min(device.ceiling, device.units.register(torque))
     device.gain = image["gain"]
@@ -388,7 +401,8 @@ def _store_registers(device: Device, image: RegisterImage) -> ServoInfo:
 def _calibration_differences(device: Device, image: RegisterImage) -> list[str]:
     """Return an error text for each register that differs from the joint's calibration file.
 
-    The file contains only the first servo of a joint.
+    The text gives both values and the resulting error of the joint's zero. Secondary servos are not
+    checked, because the file contains only the first servo of a joint.
     """
     file = device.spec.calibration
     if file is None or device.id != device.spec.id:

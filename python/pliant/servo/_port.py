@@ -468,7 +468,11 @@ class Port:
     ) -> None:
         """Store the readings of a group; add the indices of plausible ones to `accepted`.
 
-        `found` None: they are stored; `has_decoder`: so are those that need no look.
+        Args:
+            group: The servos.
+            found: Their replies; None: they are usual and stored.
+            accepted: List that gets the indices.
+            has_decoder: True if the core has stored the readings that need no look.
         """
         if found is None:
             accepted += group.indices
@@ -512,7 +516,12 @@ class Port:
 
         The servo with the oldest reading comes first: a cycle that runs out of time then does not
         always miss the same servos. A servo that is silent repeatedly is skipped for some cycles.
-        The servo with the id `last` comes last; `again`: retry after a failure.
+
+        Args:
+            group: The servos.
+            accepted: List that gets the indices.
+            last: Id of a servo to read last.
+            again: True to retry after a failure.
         """
         replies = []
         missed = []

@@ -45,7 +45,11 @@ MAX_DISAGREEMENT = 0.1
 
 
 def align_secondaries(joints: Sequence[Sequence[Device]]) -> None:
-    """Set the zero of each joint's second servo so that both servos measure the same angle."""
+    """Set the zero of each joint's second servo so that both servos measure the same joint angle.
+
+    Raises:
+        ServoError: The count of the second servo would wrap around within the joint's range.
+    """
     for first, *secondaries in joints:
         for secondary in secondaries:
             if first.position is not None and secondary.position is not None:

@@ -1,6 +1,7 @@
 """Setup of a servo's EEPROM: find the registers to change, write them, and restore them.
 
-Only this module writes EEPROM, with torque off. Every change contains the former value.
+Only this module writes EEPROM. It requires that torque is off, and reads every register back. Every
+change contains the former value, with which it can be undone.
 """
 
 from __future__ import annotations
@@ -25,15 +26,17 @@ SETUP_REGISTERS = (
 )  # fmt: skip
 #: Number of the bit of the register Shutdown that enables overload protection.
 OVERLOAD_BIT = 5
-#: Values of the register Operating Mode (Protocol 2.0): position control, with and without current.
+#: Values of the register Operating Mode (Protocol 2.0) for current-based position control and for
+#: position control.
 CURRENT_POSITION, POSITION = 5, 3
 #: Value of the register Secondary ID that disables the secondary id.
 NO_SECONDARY = 255
-#: Bits of Drive Mode (Protocol 2.0) that a setup clears: slave, time-based profile, torque by goal.
+#: Mask of the bits of the register Drive Mode (Protocol 2.0) that a setup clears: slave of another
+#: servo (bit 1), time-based profile (bit 2), and torque on by a goal (bit 3).
 DRIVE_MODE_BITS_TO_CLEAR = 0b1110
-#: Bit of Drive Mode (Protocol 1.0) of a slave of another servo.
+#: Mask of the bit of the register Drive Mode (Protocol 1.0) for a slave of another servo.
 SLAVE_BIT = 0b10
-#: Cause and remedy of a corrupt reply of one servo.
+#: Cause and remedy of a corrupt reply of one servo, for error messages.
 SAME_ID = (
     "Two servos on one id look like this: connect them one by one and give each its own id "
     "(`pliant servos setup ARM --set-id OLD:NEW`); or the cable is bad"
@@ -101,7 +104,11 @@ def plan_restore(
 
 
 def _check_model(io: TransactionGuard, joint: str, id: int, row: ServoModel) -> None:
-    """Raise a `ServoError` if servo `id` does not answer, or is not of the model `row`."""
+    """Check that servo `id` is of the model `row`.
+
+    Raises:
+        ServoError: The servo does not answer, or is another model.
+    """
     number = read(io, id, row.family, "model")
     if number != row.model_number:
         known = " or ".join(r.name for r in by_number(number)) or f"model number {number}"
@@ -115,7 +122,10 @@ def _differences(
     row: ServoModel,
     required: Mapping[str, tuple[int, str]],
 ) -> list[RegisterChange]:
-    """Return a change for each register without its value and reason in `required`."""
+    """Return a `RegisterChange` for each register whose value is not the required one.
+
+    `required` contains the required value and its reason, by register name.
+    """
     out = []
     for register, (new, why) in required.items():
         old = read(io, id, row.family, register)
@@ -127,7 +137,11 @@ def _differences(
 
 
 def _check_torque(io: TransactionGuard, joint: str, id: int, family: Family) -> None:
-    """Raise a `ServoError` if the torque of a servo is on, or it does not answer."""
+    """Check that the torque of a servo is off.
+
+    Raises:
+        ServoError: Torque is on, or the servo does not answer.
+    """
     if read(io, id, family, "torque_enable"):
         raise ServoError(
             f"the torque of {joint} (id {id}) is on: EEPROM is locked, and the arm may be holding "
@@ -138,7 +152,10 @@ def _check_torque(io: TransactionGuard, joint: str, id: int, family: Family) -> 
 def _required_values(
     io: TransactionGuard, id: int, row: ServoModel, overload: bool
 ) -> dict[str, tuple[int, str]]:
-    """Return the value that each register must have, and the reason for it, by register name."""
+    """Return the value that each register must have, and the reason for it, by register name.
+
+    If `overload` is True, the value of the register Shutdown disables overload protection.
+    """
     family = row.family
     out: dict[str, tuple[int, str]] = {}
     # Set the return level first, so that the servo acknowledges the following writes.
@@ -216,7 +233,11 @@ def set_id(io: TransactionGuard, joint: str, row: ServoModel, old: int, new: int
 
 
 def check_set_id(io: TransactionGuard, joint: str, row: ServoModel, old: int, new: int) -> None:
-    """Raise a `ServoError` if a precondition of `set_id` is not met."""
+    """Check the preconditions of `set_id`, without writing registers.
+
+    Raises:
+        ServoError: A precondition is not met, see `set_id`.
+    """
     if io.ping(new):
         raise ServoError(
             f"a servo on this port answers to id {new} already: connect only the one that is to "
@@ -227,7 +248,11 @@ def check_set_id(io: TransactionGuard, joint: str, row: ServoModel, old: int, ne
 
 
 def read(io: TransactionGuard, id: int, family: Family, name: str) -> int:
-    """Return the value of a register; raise a `ServoError` if servo `id` does not answer."""
+    """Return the value of the register `name` of servo `id`.
+
+    Raises:
+        ServoError: The servo does not answer.
+    """
     register = family.registers[name]
     try:
         reply = io.read(id, family.block(name))
@@ -243,7 +268,10 @@ def read(io: TransactionGuard, id: int, family: Family, name: str) -> int:
 
 
 def _write(io: TransactionGuard, id: int, family: Family, name: str, value: int) -> None:
-    """Write a register, which the caller reads back: ignore a missing reply."""
+    """Write `value` to the register `name` of servo `id`.
+
+    Ignore a missing reply, because the caller reads the register back.
+    """
     register = family.registers[name]
     try:
         io.write(id, register.address, register.encode(value))
@@ -252,6 +280,9 @@ def _write(io: TransactionGuard, id: int, family: Family, name: str, value: int)
 
 
 def _lock(io: TransactionGuard, id: int, family: Family, *, locked: bool) -> None:
-    """Lock or unlock the EEPROM of a Feetech servo; that of a Dynamixel follows its torque."""
+    """Lock or unlock the EEPROM of a Feetech servo by its register Lock.
+
+    Do nothing for Dynamixel servos, whose EEPROM is locked while torque is on.
+    """
     if "lock" in family.registers:
         _write(io, id, family, "lock", int(locked))

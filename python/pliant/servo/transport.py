@@ -290,7 +290,10 @@ _BROKEN = ("checksum", "parsing", "incorrect id")
 
 
 def _cannot_open(port: str, text: str) -> str:
-    """Return the message for a port that rustypot cannot open with the error `text`."""
+    """Return the message for a port that cannot be opened, with reason and remedy.
+
+    `text` is the error message of rustypot.
+    """
     lower = text.lower()
     if "permission" in lower or "access is denied" in lower:
         return (
@@ -330,7 +333,8 @@ def _descriptors(path: str) -> set[int]:
 def drop_port(path: str) -> None:
     """Replace descriptors of the serial port `path` by the null device, in a forked process.
 
-    Otherwise the port would stay locked until both processes end.
+    A forked process shares the lock of the port, which would stay locked until both processes end.
+    Closing through the driver could wait for a thread that does not exist after the fork.
     """
     for number in _descriptors(path):
         with suppress(OSError):

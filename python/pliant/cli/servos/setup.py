@@ -31,9 +31,6 @@ if TYPE_CHECKING:
     from pliant.config import Config
     from pliant.servo import ServoSpec, Transport
 
-#: Remedy for changes that were not all written.
-AGAIN = "the same command shows what is left to write"
-
 
 def run(
     arm: ArmName,
@@ -90,6 +87,7 @@ def run(
         name, flags = shlex.quote(arm), override.as_arguments()
         if undo is None:
             backups.save(backup, arm, planned)
+            # Before the first write, so that it is known after an interruption too.
             restore = ["pliant servos setup", name, "--undo", shlex.quote(str(backup)), *flags]
             print_line(f"old values in {backup}; this puts them back: {' '.join(restore)}", console)
         _write(ports, specs, planned)
@@ -99,8 +97,12 @@ def run(
 
 
 def _write(ports: _Ports, specs: list[ServoSpec], planned: list[RegisterChange]) -> None:
-    """Write the changes of each servo, also after an error of another one."""
-    errors = []
+    """Write all planned changes; an error of one servo does not prevent those of the others.
+
+    Raises:
+        ServoError: Some changes were not written; the message names them.
+    """
+    errors, again = [], "the same command shows what is left to write"
     try:
         for spec in specs:
             for number, _ in spec.servos:
@@ -110,14 +112,18 @@ def _write(ports: _Ports, specs: list[ServoSpec], planned: list[RegisterChange])
                 except ServoError as error:
                     errors.append(str(error))
     except KeyboardInterrupt:
-        Console(stderr=True).print(f"interrupted: {AGAIN}")
+        Console(stderr=True).print(f"interrupted: {again}")
         raise
     if errors:
-        raise ServoError("\n".join([*dict.fromkeys(errors), AGAIN]))
+        raise ServoError("\n".join([*dict.fromkeys(errors), again]))
 
 
 def _ids(text: str) -> tuple[int, int]:
-    """Return old and new servo id from the value OLD:NEW of `--set-id`."""
+    """Return old and new servo id from the value OLD:NEW of `--set-id`.
+
+    Raises:
+        ConfigError: The text is not a pair of different ids.
+    """
     parts = text.split(":")
     if len(parts) != 2 or not all(part.isdecimal() for part in parts):
         raise ConfigError(f"--set-id is OLD:NEW, as in 1:6, got {text!r}")
@@ -130,7 +136,7 @@ def _ids(text: str) -> tuple[int, int]:
 def _assign_id(
     arm_config: Config, specs: list[ServoSpec], old: int, new: int, console: Console, *, yes: bool
 ) -> None:
-    """Change the id of the only connected servo after a prompt."""
+    """Change the id of the only connected servo from `old` to `new`, after a prompt."""
     owners = [spec for spec in specs if new in dict(spec.servos)]
     if len(owners) != 1:
         known = ", ".join(f"{n} ({spec.name})" for spec in specs for n, _ in spec.servos)
@@ -147,7 +153,7 @@ def _assign_id(
 
 
 def _confirm(console: Console) -> bool:
-    """Return True if the user confirms."""
+    """Ask the user to confirm; return True for yes. The end of the input counts as no."""
     try:
         return console.input("write this? [y/N] ").strip().lower() in {"y", "yes"}
     except EOFError:
