@@ -12,6 +12,7 @@ import pytest
 
 pytest.importorskip("rustypot", reason="the tests of servo buses need the extra servo")
 
+from pliant import emulator
 from pliant._core import JointReadings, OutOfRangeError, ServoCodec
 from pliant.emulator.pty import Pty
 from pliant.servo import BusError, RustypotTransport, ServoSpec, transport
@@ -365,6 +366,17 @@ def test_a_port_that_this_program_has_open_is_told_apart(monkeypatch):
     monkeypatch.setattr(transport, "_OPEN", {os.path.realpath("p")})
     for port, what in (("p", "another arm or bus of this program"), ("q", "another program")):
         assert f"{port} is in use by {what}: close" in transport._cannot_open(port, "busy")
+
+
+def test_a_port_whose_link_is_gone_counts_as_closed(tmp_path):
+    with emulator.Emulator([emulator.Device("STS3215", id=1)]) as bus:
+        link = tmp_path / "by-id"
+        link.symlink_to(bus.port)
+        own = transport.RustypotTransport(str(link), 1_000_000, "p1")
+        assert os.path.realpath(link) in transport._OPEN
+        link.unlink()
+        own.close()
+        assert os.path.realpath(bus.port) not in transport._OPEN
 
 
 @pytest.mark.parametrize(

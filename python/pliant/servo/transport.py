@@ -137,7 +137,9 @@ class RustypotTransport:
             self._io: Any = kind(port, baudrate, timeout)
         except (OSError, RuntimeError) as error:
             raise ServoError(_cannot_open(port, str(error))) from error
-        _OPEN.add(os.path.realpath(port))
+        # Resolved now: the link of an adapter that is pulled is gone before the port is closed.
+        self._path = os.path.realpath(port)
+        _OPEN.add(self._path)
         # Packets of Protocol 1.0 use the file descriptor of the port if it is known.
         opened = _descriptors(port) - before if protocol == "p1" else set()
         self.serial = SerialPort(opened.pop()) if len(opened) == 1 else None
@@ -206,7 +208,7 @@ class RustypotTransport:
         if self.serial is not None:
             self.serial.close()
         self._io.close()
-        _OPEN.discard(os.path.realpath(self.port))
+        _OPEN.discard(self._path)
 
     def _exchange(
         self,
