@@ -47,7 +47,14 @@ fn rare(model: &Model) -> Vec<(&'static str, States)> {
         let beyond = q.iter().enumerate().map(|(i, q)| if i == 3 { q + 0.02 } else { *q }).collect::<Vec<f64>>();
         *target = model.forward_kinematics(&beyond).expect("a state of this arm");
     }
+    let slow = |wave: f64, i: usize| ordinary(wave / 400.0, i);
+    // Within the bounds on speed and acceleration, so that the reference stays at its target, two ticks ahead.
+    let mut following = make(&slow, 0.0);
+    for s in 0..STATES {
+        following[s].1 = model.forward_kinematics(&following[(s + 2) % STATES].0).expect("a state of this arm");
+    }
     vec![
+        ("following", following),
         ("singular", make(&stretched, 0.02)),
         ("one at its limit", one),
         ("at the limits", make(&limits, 0.02)),

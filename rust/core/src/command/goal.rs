@@ -4,6 +4,7 @@ use crate::MAX_AXES;
 use crate::command::DEFAULT_OFFSET_LIMIT;
 use crate::command::torque_limit::LimitTerms;
 use crate::law::{LawInput, LawOutput};
+use crate::math::cold;
 use crate::math::rows::tr_mul;
 use crate::math::simd::{F64x8, JointVector, RealOps};
 use crate::params::{Features, Params, Settings};
@@ -89,18 +90,24 @@ impl<J: JointVector> JointTargets<J> {
         arm: &ArmState<'_, J>,
         demand: &AxisDemand<J::Axes>,
     ) -> LimitTerms<J> {
-        let motion = &self.motion;
-        let wrench = motion.wrench.total();
-        let pull = tr_mul(arm.rows, &wrench.to_axes());
+        let (motion, wrench) = (&self.motion, self.motion.wrench.total());
+        let mut task = motion.torque;
+        if J::Axes::any_lt(demand.max_strength, J::Axes::abs(wrench)) {
+            cold();
+            task = tr_mul(arm.rows, &J::Axes::clamp_abs(wrench, demand.max_strength).to_axes());
+        }
         // Subtract the lead that exerts the wrench. The null-space lead remains, less the motion that position limits
         // cut.
-        let lead =
-            J::fnma(J::load(&params.servos.compliance), pull, motion.stiff_offset + motion.soft_offset + motion.null);
+        let lead = J::fnma(
+            J::load(&params.servos.compliance),
+            motion.torque,
+            motion.stiff_offset + motion.soft_offset + motion.null,
+        );
         let ahead = arm.q - q;
         LimitTerms {
             gravity: arm.gravity_in_limit,
             feed_forward: self.feed_forward,
-            task: tr_mul(arm.rows, &J::Axes::clamp_abs(wrench, demand.max_strength).to_axes()),
+            task,
             offset: J::load(&params.servos.kp) * (lead + integral + ahead),
             gravity_scale: settings.paper_options.gravity_scale,
             margin: J::load(&params.limit_margin),

@@ -17,6 +17,7 @@ use crate::law::nullspace::cost_gradient;
 use crate::law::redistribution::{redistribute, without_locked};
 use crate::law::singularity::{row_damping, singularity_state};
 use crate::law::{self, LawInput, Pacing};
+use crate::math::cold;
 use crate::math::rows::store_rows;
 use crate::math::simd::{F64x8, Isa, JointVec16, JointVector, Kernel, LANES, RealOps, SimdLevel, flush_subnormals};
 use crate::math::singular_values::SingularValues;
@@ -92,11 +93,6 @@ struct StepSolution<J: JointVector> {
     /// Damping λ² of each task row.
     row_damping: J::Axes,
 }
-
-/// Marks the branch that calls it as unlikely, so that the compiler places that branch out of line.
-#[cold]
-#[inline(never)]
-fn cold() {}
 
 impl Kernel for Step<'_> {
     /// True if the step succeeded; false if positions, target or command are invalid. In that case state, diagnostics

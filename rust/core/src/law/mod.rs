@@ -105,6 +105,8 @@ pub(crate) struct LawOutput<J: JointVector> {
     pub(crate) null: J,
     /// Wrench that the leads exert [N, N·m]; 0 under law `paper`.
     pub(crate) wrench: Wrench<J::Axes>,
+    /// Joint torques `Jᵀ wrench` [N·m].
+    pub(crate) torque: J,
     /// Factors, 0 to 1, on the null-space, the soft and the stiff part, which keep them within torque and speed limits.
     pub(crate) factors: [f64; 3],
     /// Friction and damping feed-forward [N·m].

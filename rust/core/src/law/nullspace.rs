@@ -2,6 +2,7 @@
 
 use crate::law::activation::RowNorms;
 use crate::law::posture_fade::posture_gain;
+use crate::math::cold;
 use crate::math::ldlt6::{Ldlt6, factor_gram, pseudo_inverse};
 use crate::math::rows::{JointMatrix, load_rows, mul, store_rows, tr_mul};
 use crate::math::simd::{BaselineF64, JointVec16, JointVector};
@@ -36,8 +37,12 @@ pub(crate) fn projector_damping_sq(smallest: f64, largest: f64) -> f64 {
     if mu_1 <= 0.0 {
         return 1e-12;
     }
-    let mu = mu_1 * (2.0 - smallest / mu_1).clamp(0.0, 1.0);
-    mu * mu
+    if smallest < 2.0 * mu_1 {
+        cold();
+        let mu = mu_1 * (2.0 - smallest / mu_1).clamp(0.0, 1.0);
+        return mu * mu;
+    }
+    0.0
 }
 
 impl<'a, J: JointVector> NullSpace<'a, J> {

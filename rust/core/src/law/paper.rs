@@ -119,6 +119,7 @@ fn within_limits<J: JointVector>(
         soft_offset: J::splat(0.0),
         null: null * J::splat(null_factor),
         wrench: Wrench::zero(),
+        torque: J::splat(0.0),
         factors: [null_factor, task_factor, task_factor],
         feed_forward: J::splat(0.0),
         gain_factor: 1.0,

@@ -166,6 +166,7 @@ pub(crate) fn redistribute<J: JointVector>(
         let goal = without_lead + parts.offset + parts.null;
         if !locks.lock_violations(goal, without_lead, lower, upper) {
             (motion.stiff_offset, motion.null, motion.wrench.stiff) = (parts.offset, parts.null, parts.stiff);
+            motion.torque = tr_mul(arm.rows, &motion.wrench.total().to_axes());
             return (goal, locks.locked);
         }
         let redistribution = Redistribution {

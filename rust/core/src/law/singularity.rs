@@ -2,6 +2,7 @@
 //! damping μ² of the null-space projector, and the fade γ of feed-forward and prediction.
 
 use crate::law::nullspace::projector_damping_sq;
+use crate::math::cold;
 use crate::math::ldlt6::Ldlt6;
 use crate::math::rows::{Mat6, store_rows, weighted_gram};
 use crate::math::simd::{JointVector, RealOps, SimdVec};
@@ -32,7 +33,12 @@ pub(crate) struct SingularityState {
 /// Returns γ, which fades feed-forward and prediction near singular poses: `clip(3 σ/σ₀, ½, 1)`, or 1 if σ₀ is 0.
 #[inline(always)]
 pub(crate) fn singularity_fade(sigma: f64, sigma_0: f64) -> f64 {
-    if sigma_0 > 0.0 { (3.0 * sigma / sigma_0).clamp(0.5, 1.0) } else { 1.0 }
+    let tripled = 3.0 * sigma;
+    if tripled < sigma_0 {
+        cold();
+        return (tripled / sigma_0).max(0.5);
+    }
+    1.0
 }
 
 /// Returns λ² for the smallest singular value σ: `λ₀² + (1 − (σ/σ₀)²) λ_max²` below σ₀, else λ₀².
@@ -40,6 +46,7 @@ pub(crate) fn singularity_fade(sigma: f64, sigma_0: f64) -> f64 {
 pub(crate) fn damping_squared(sigma: f64, lambda_0: f64, sigma_0: f64, lambda_max: f64) -> f64 {
     let mut squared = lambda_0 * lambda_0;
     if sigma < sigma_0 {
+        cold();
         let ratio = sigma / sigma_0;
         squared += (1.0 - ratio * ratio) * lambda_max * lambda_max;
     }

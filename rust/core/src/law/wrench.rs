@@ -52,14 +52,16 @@ impl<J: JointVector> LawInput<'_, J> {
         let base = J::fma(kp, null + self.integral, self.gravity + feed_forward);
         let [soft_torque, stiff_torque] = scale_to_fit(base, [soft, stiff], torque);
         // Joint speeds: reduce the null-space part first, then the soft, then the stiff part.
-        let (soft, stiff) = (soft * compliance * J::splat(soft_torque), stiff * compliance * J::splat(stiff_torque));
+        let (soft, stiff) = (soft * J::splat(soft_torque), stiff * J::splat(stiff_torque));
         let [null_speed, soft_speed, stiff_speed] =
-            scale_to_fit(J::splat(0.0), [null, soft, stiff], params.reach(self.horizon));
+            scale_to_fit(J::splat(0.0), [null, soft * compliance, stiff * compliance], params.reach(self.horizon));
         let factors = [null_speed, soft_torque * soft_speed, stiff_torque * stiff_speed];
+        let (soft, stiff) = (soft * J::splat(soft_speed), stiff * J::splat(stiff_speed));
         LawOutput {
-            stiff_offset: stiff * J::splat(stiff_speed),
-            soft_offset: soft * J::splat(soft_speed),
+            stiff_offset: stiff * compliance,
+            soft_offset: soft * compliance,
             null: null * J::splat(null_speed),
+            torque: soft + stiff,
             wrench: Wrench {
                 soft: wrench.soft * J::Axes::splat(factors[1]),
                 stiff: wrench.stiff * J::Axes::splat(factors[2]),

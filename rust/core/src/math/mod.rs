@@ -27,6 +27,12 @@ macro_rules! outlined_formula {
     };
 }
 
+/// Marks the branch that calls it as unlikely. The compiler then keeps the branch, out of line, instead of computing and
+/// selecting both results, so a step does not wait for the condition.
+#[cold]
+#[inline(never)]
+pub(crate) fn cold() {}
+
 pub(crate) mod halton;
 pub(crate) mod ldlt6;
 pub(crate) mod rotation;

@@ -1,6 +1,7 @@
 //! Reference governor: the reference follows the target within speed and acceleration bounds, and waits for an arm
 //! whose torques or speeds are at their limits.
 
+use crate::math::cold;
 use crate::math::rotation::{rotation_matrix, rotation_matrix_by, task_to_base};
 use crate::math::simd::{BaselineF64, RealOps};
 use crate::math::spatial::{add, add_scaled, dot, multiply, norm, orthonormal, scale, sub};
@@ -157,7 +158,12 @@ impl ReferenceGovernor {
             return *target;
         }
         let moved = pose_error_by::<A>(&self.target, target);
-        let e = if self.arrived() == [true; 2] { moved } else { pose_error_by::<A>(&self.pose, target) };
+        if self.arrived() == [true; 2] && self.follows::<A>(&moved, speed, acceleration, dt) {
+            (self.pose, self.target) = (*target, *target);
+            return *target;
+        }
+        cold();
+        let e = pose_error_by::<A>(&self.pose, target);
         let mut blocks = [([0.0; 3], true); 2];
         for (b, block) in blocks.iter_mut().enumerate() {
             let part = |v: &[f64; 6]| [v[3 * b], v[3 * b + 1], v[3 * b + 2]];
@@ -191,6 +197,33 @@ impl ReferenceGovernor {
         }
         self.velocity = [linear[0], linear[1], linear[2], angular[0], angular[1], angular[2]];
         self.pose
+    }
+
+    /// Takes the velocity of a target that has moved by `moved` in `dt` [s] since the reference was at it, and returns
+    /// true; false and no change if that would exceed the bounds. Gives what [`approach`] would, without its roots.
+    #[inline(always)]
+    fn follows<A: RealOps<Real = f64>>(
+        &mut self,
+        moved: &[f64; 6],
+        speed: [f64; 2],
+        acceleration: [f64; 2],
+        dt: f64,
+    ) -> bool {
+        let (mut velocity, mut target_speed) = ([0.0; 6], [0.0; 2]);
+        for b in 0..2 {
+            let part = |v: &[f64; 6]| [v[3 * b], v[3 * b + 1], v[3 * b + 2]];
+            let (now, before) = (scale::<A>(1.0 / dt, &part(moved)), part(&self.velocity));
+            let (size, change) = (norm::<A>(&now), sub::<A>(&now, &before));
+            let max = acceleration[b] * dt + (self.target_speed[b] - size).max(0.0);
+            // Negated, so that NaN takes the long way.
+            if !(size <= speed[b] && dot::<A>(&change, &change) <= max * max) {
+                return false;
+            }
+            velocity[3 * b..3 * b + 3].copy_from_slice(&now);
+            target_speed[b] = size;
+        }
+        (self.velocity, self.target_speed) = (velocity, target_speed);
+        true
     }
 }
 
