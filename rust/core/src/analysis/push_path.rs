@@ -4,13 +4,14 @@
 use nalgebra::DMatrix;
 
 use crate::command::host_loss::TRAVEL;
-use crate::kinematics::{Reference, rotated_rows};
+use crate::kinematics::Reference;
 use crate::math::ldlt6::{Ldlt6, factor_gram};
 use crate::math::rows::{load_rows, tr_mul, weighted_gram};
 use crate::math::simd::{BaselineF64, JointVec16, JointVector, RealOps, SimdLevel};
 use crate::math::svd::singular_values;
 use crate::model::Model;
 use crate::params::Params;
+use crate::task::rows_in;
 use crate::{JointVec, MAX_AXES, MAX_JOINTS};
 
 /// Number of steps in which a push is simulated.
@@ -163,7 +164,8 @@ impl PushPath<'_> {
     fn rows(&self, q: &JointVec) -> TaskRows {
         let mut j_base = [[0.0; MAX_JOINTS]; MAX_AXES];
         self.model.chain().pose_and_rows(self.simd_level, q, Reference::WorldAligned, &mut j_base);
-        rotated_rows(&load_rows(&j_base), &self.base_from_task, &self.params.axes)
+        let (params, mut storage) = (self.params, None);
+        *rows_in(&params.frame, &load_rows(&j_base), &self.base_from_task, &params.axes, &mut storage)
     }
 
     /// Returns the friction along axis `row` of all joints except `joint` [N, N·m]; ∞ if these cannot move all task

@@ -22,7 +22,7 @@ use crate::params::Frame;
 /// Returns the Jacobian rows of a task in `frame`, stored in `storage`: [`task_rows`](crate::kinematics::task_rows), or
 /// `j_base` itself if the task has all six base axes.
 #[inline(always)]
-fn rows_in<'a, J: JointVector>(
+pub(crate) fn rows_in<'a, J: JointVector>(
     frame: &Frame,
     j_base: &'a [J; MAX_AXES],
     base_from_task: &Mat3,

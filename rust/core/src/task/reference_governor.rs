@@ -215,8 +215,8 @@ impl ReferenceGovernor {
             let (now, before) = (scale::<A>(1.0 / dt, &part(moved)), part(&self.velocity));
             let (size, change) = (norm::<A>(&now), sub::<A>(&now, &before));
             let max = acceleration[b] * dt + (self.target_speed[b] - size).max(0.0);
-            // Negated, so that NaN takes the long way.
-            if !(size <= speed[b] && dot::<A>(&change, &change) <= max * max) {
+            // Negated, so that NaN takes the long way, as do blocks without a speed limit, whose velocity stays zero.
+            if !(size <= speed[b] && speed[b].is_finite() && dot::<A>(&change, &change) <= max * max) {
                 return false;
             }
             velocity[3 * b..3 * b + 3].copy_from_slice(&now);
@@ -491,6 +491,36 @@ mod tests {
                 assert!((along - first[index]).abs() < 1e-9, "{axis:?}, tick {tick}: {along} {}", first[index]);
             }
         }
+    }
+
+    #[test]
+    fn a_reference_at_its_target_moves_as_by_the_general_formula() {
+        let (speed, acceleration, dt) = ([0.25, 1.0], [1.0, 4.0], 0.01);
+        let mut taken = [false; 2];
+        // Speeds of the target along a screw axis: constant, faster, braking at once, jumping, and back.
+        for (before, now) in [(0.1, 0.1), (0.1, 0.105), (0.1, 0.12), (0.2, 0.0), (0.2, 0.5), (0.1, -0.1)] {
+            for axis in AXES {
+                let from = screw(axis, 0.0);
+                let velocity: [f64; 6] = std::array::from_fn(|i| before * axis[i % 3]);
+                let at = ReferenceGovernor { velocity, target_speed: [before; 2], ..ReferenceGovernor::new(from) };
+                // Not equal to the target in every bit, so that the reference takes the general way.
+                let mut beside = at;
+                beside.pose.position.iter_mut().for_each(|x| *x += 1e-300);
+                let target = screw(axis, now * dt);
+                let mut quick = at;
+                taken
+                    [usize::from(quick.follows::<BaselineF64>(&pose_error(&from, &target), speed, acceleration, dt))] =
+                    true;
+                let [direct, general] = [at, beside].map(|mut governor| {
+                    let pose = governor.update::<BaselineF64>(&target, speed, acceleration, dt);
+                    (pose_error(&pose, &target), governor.velocity, governor.target_speed, governor.arrived())
+                });
+                let close = |a: &[f64], b: &[f64]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-12);
+                assert!(close(&direct.0, &general.0), "{before} {now}: {direct:?} {general:?}");
+                assert!(close(&direct.1, &general.1) && close(&direct.2, &general.2) && direct.3 == general.3);
+            }
+        }
+        assert_eq!(taken, [true; 2], "targets within and beyond the bounds");
     }
 
     #[test]

@@ -25,11 +25,11 @@ macro_rules! each {
     ($of_one:path, $first:ident $(, $argument:ident)*) => {{
         #[inline(never)]
         fn each($first: &JointVec16 $(, $argument: &JointVec16)*) -> JointVec16 {
-            let mut out = *$first;
+            let mut out = [0.0; MAX_JOINTS];
             for i in 0..MAX_JOINTS {
-                out.0[i] = $of_one($first.0[i] $(, $argument.0[i])*);
+                out[i] = $of_one($first.0[i] $(, $argument.0[i])*);
             }
-            out
+            JointVec16(out, 0)
         }
         each(&$first $(, &$argument)*)
     }};
@@ -183,23 +183,46 @@ impl JointVector for JointVec16 {
 
     #[inline(always)]
     fn sum4(vectors: [Self; 4]) -> [f64; 4] {
-        #[inline(never)]
-        fn sum(of: &JointVec16) -> f64 {
-            let mut sums = of.0;
-            // Sum by halves: this order can be vectorized.
-            for half in [8, 4, 2, 1] {
-                for i in 0..half {
-                    sums[i] += sums[i + half];
-                }
-            }
-            sums[0]
-        }
         let [a, b, c, d] = &vectors;
-        [sum(a), sum(b), sum(c), sum(d)]
+        [sum_by_halves(a), sum_by_halves(b), sum_by_halves(c), sum_by_halves(d)]
     }
 
     #[inline(always)]
     fn dot4(a: [&Self; 4], b: [&Self; 4]) -> [f64; 4] {
-        Self::sum4([*a[0] * *b[0], *a[1] * *b[1], *a[2] * *b[2], *a[3] * *b[3]])
+        #[inline(never)]
+        fn dot(a: &JointVec16, b: &JointVec16) -> f64 {
+            let mut sums = [0.0; MAX_JOINTS / 2];
+            for i in 0..MAX_JOINTS / 2 {
+                sums[i] = a.0[i] * b.0[i] + a.0[i + MAX_JOINTS / 2] * b.0[i + MAX_JOINTS / 2];
+            }
+            sum_of_eight(sums)
+        }
+        [dot(a[0], b[0]), dot(a[1], b[1]), dot(a[2], b[2]), dot(a[3], b[3])]
     }
+
+    #[inline(always)]
+    fn sum(self) -> f64 {
+        sum_by_halves(&self)
+    }
+}
+
+/// Returns the sum of the elements.
+#[inline(never)]
+fn sum_by_halves(of: &JointVec16) -> f64 {
+    let mut sums = [0.0; MAX_JOINTS / 2];
+    for i in 0..MAX_JOINTS / 2 {
+        sums[i] = of.0[i] + of.0[i + MAX_JOINTS / 2];
+    }
+    sum_of_eight(sums)
+}
+
+/// Returns the sum by halves, an order that can be vectorized.
+#[inline(always)]
+fn sum_of_eight(mut sums: [f64; MAX_JOINTS / 2]) -> f64 {
+    for half in [4, 2, 1] {
+        for i in 0..half {
+            sums[i] += sums[i + half];
+        }
+    }
+    sums[0]
 }
