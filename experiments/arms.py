@@ -142,7 +142,7 @@ class Arm:
 
 
 def ranges(model: pliant.Model) -> tuple[Array, Array]:
-    """Return lower and upper joint limits (n,) [rad]; ±π for joints without limits."""
+    """Return lower and upper joint limits (n,) [rad]; ±π for a joint with an infinite limit."""
     lower, upper = np.asarray(model.lower), np.asarray(model.upper)
     endless = ~(np.isfinite(lower) & np.isfinite(upper))
     return np.where(endless, -np.pi, lower), np.where(endless, np.pi, upper)

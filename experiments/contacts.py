@@ -501,7 +501,7 @@ def text(rows: Sequence[RuleResult]) -> str:
 
 
 def draw(folder: Path, rows: Sequence[RuleResult]) -> None:
-    """Draw `contacts.png`: rate of false alarms against detected contacts, by case and rule."""
+    """Plot detected contacts [%] against false alarms per hour by case and rule: `contacts.png`."""
     from pliant._report import style
 
     cases = list(dict.fromkeys(row.case for row in rows))

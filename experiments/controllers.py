@@ -116,7 +116,7 @@ def paper(
 
 
 def limits_only(torque: float = 6.0, *, soft: str = "y", eta: float = 0.0, **more: Any) -> Settings:
-    """Return `paper` without step limits: the budget `torque` [N·m] bounds only torque limits."""
+    """Return the settings `paper` without step limits: `torque` [N·m] bounds only torque limits."""
     return paper(torque, soft=soft, eta=eta, steps=NO_STEPS, soft_steps=NO_STEPS, **more)
 
 

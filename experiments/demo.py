@@ -129,7 +129,7 @@ def _subject(robot: str, urdf: Path | None, base: str | None, tip: str | None) -
 def missed(chapter: Chapter) -> list[str]:
     """Return a line of text for each statement of our study that failed in a chapter.
 
-    The line has the number of the chapter, the failed checks, and the known reason.
+    The line has the number of the chapter, the statement, the failed checks and the known reason.
     """
     from experiments.report import Verdict
 

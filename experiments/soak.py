@@ -343,7 +343,12 @@ def stale(readings: list[tuple[int, float, float, float]], truth: Array, count: 
 
 
 def drive(arm: Arm, seconds: float, rate: float) -> tuple[Loop, str, float]:
-    """Enable the arm, follow a moving target with soft y for `seconds`, and switch torque off.
+    """Enable the arm, follow a moving target with a compliant y axis, and switch torque off.
+
+    Args:
+        arm: The arm.
+        seconds: Duration of the motion [s].
+        rate: Control rate [Hz].
 
     Returns:
         The control loop, the text of the error that ended it ("" if none did), and the time at

@@ -235,8 +235,8 @@ def _can_move(arm: arms.Arm, q: Array, soft: str, distance: float) -> bool:
 # --- Runs with any arm: functions that a job can call in another process ---
 
 RATE = 100.0
-#: Stiffness [N/m] and damping [N·s/m] of a hand that acts on an axis with the cap `USUAL` [N]; for
-#: another cap, both scale with it.
+#: Stiffness [N/m] and damping [N·s/m] of the simulated hand for an axis whose force cap is `USUAL`
+#: [N]; both scale with the cap.
 SPRING, DAMPER, USUAL = 2000.0, 30.0, 15.0
 
 

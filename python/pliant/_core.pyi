@@ -375,15 +375,15 @@ class Joint:
 
     @property
     def effort(self) -> float | None:
-        """Torque or force limit [N m or N]; None without one."""
+        """Torque or force limit [N·m or N]; None without one."""
 
     @property
     def damping(self) -> float | None:
-        """Damping [N m s/rad or N s/m]; None if the URDF gives none."""
+        """Damping [N·m s/rad or N s/m]; None if the URDF gives none."""
 
     @property
     def friction(self) -> float | None:
-        """Dry friction [N m or N]; None if the URDF gives none."""
+        """Dry friction [N·m or N]; None if the URDF gives none."""
 
     @property
     def mimic(self) -> Mimic | None:
@@ -519,7 +519,7 @@ class Model:
 
     @property
     def effort_limit(self) -> _Array:
-        """Torque limits (n,) [N m or N], NaN where the URDF has none; read-only."""
+        """Torque limits (n,) [N·m or N], NaN where the URDF has none; read-only."""
 
     @property
     def prismatic(self) -> tuple[bool, ...]:
@@ -604,7 +604,7 @@ class Model:
         """
 
     def gravity(self, q: ArrayLike) -> _Array:
-        """Compute the torques (n,) [N m or N] that hold the arm at rest at `q` (n,) [rad or m]."""
+        """Compute the torques (n,) [N·m or N] that hold the arm at rest at `q` (n,) [rad or m]."""
 
     def inverse_kinematics(
         self,
@@ -696,7 +696,7 @@ class Model:
         """
 
     def gravity_batch(self, Q: ArrayLike, out: _Array | None = None) -> _Array:
-        """Compute the torques (N, n) [N m or N] that hold the arm at rest in `Q` (N, n) [rad or m].
+        """Compute the torques (N, n) [N·m or N] that hold the arm at rest in `Q` (N, n) [rad or m].
 
         See `kinematics_batch` for arguments and exceptions.
         """
@@ -721,19 +721,19 @@ class _ServoFields(TypedDict, total=False):
 class Servos:
     """Servo parameters that the controller assumes: one number per joint, or one for all. Frozen.
 
-    Units are N m and rad; N and m for prismatic joints.
+    Units are N·m and rad; N and m for prismatic joints.
 
     Args:
-        kp: Stiffness of the position loop [N m/rad] > 0.
-        max_torque: Usable torque at the present voltage [N m] > 0: ceiling of every torque limit.
-        friction: Dry friction of gears and motor [N m].
-        load_friction: Additional dry friction per N m of load torque [1].
-        stribeck: Additional dry friction at rest [N m]; it vanishes in fast motion.
-        load_stribeck: Additional dry friction at rest per N m of load torque [1].
+        kp: Stiffness of the position loop [N·m/rad] > 0.
+        max_torque: Usable torque at the present voltage [N·m] > 0: ceiling of every torque limit.
+        friction: Dry friction of gears and motor [N·m].
+        load_friction: Additional dry friction per N·m of load torque [1].
+        stribeck: Additional dry friction at rest [N·m]; it vanishes in fast motion.
+        load_stribeck: Additional dry friction at rest per N·m of load torque [1].
         stribeck_speed: Speed at which a third of the additional friction at rest is left [rad/s] >
             0.
-        damping: Damping of gears and back-EMF [N m s/rad], which the torque limit does not bound.
-        kv: Derivative gain of the position loop [N m s/rad]; the torque limit includes its torque.
+        damping: Damping of gears and back-EMF [N·m s/rad], which the torque limit does not bound.
+        kv: Derivative gain of the position loop [N·m s/rad]; the torque limit includes its torque.
         armature: Rotor inertia at the joint [kg m^2]; used by `ContactEstimator`, `Lowering` and
             simulators.
         encoder_step: Angle of one encoder count [rad]; 0 to neglect it.
@@ -767,27 +767,27 @@ class Servos:
     ) -> Servos: ...
     @property
     def kp(self) -> _Array:
-        """Stiffness of the position loop (n,) [N m/rad]; read-only, as the other arrays."""
+        """Stiffness of the position loop (n,) [N·m/rad]; read-only, as the other arrays."""
 
     @property
     def max_torque(self) -> _Array:
-        """Usable torque at the present voltage (n,) [N m]: ceiling of every torque limit."""
+        """Usable torque at the present voltage (n,) [N·m]: ceiling of every torque limit."""
 
     @property
     def friction(self) -> _Array:
-        """Dry friction of gears and motor (n,) [N m]."""
+        """Dry friction of gears and motor (n,) [N·m]."""
 
     @property
     def load_friction(self) -> _Array:
-        """Additional dry friction per N m of load torque (n,) [1]."""
+        """Additional dry friction per N·m of load torque (n,) [1]."""
 
     @property
     def stribeck(self) -> _Array:
-        """Additional dry friction at rest (n,) [N m]; it vanishes in fast motion."""
+        """Additional dry friction at rest (n,) [N·m]; it vanishes in fast motion."""
 
     @property
     def load_stribeck(self) -> _Array:
-        """Additional dry friction at rest per N m of load torque (n,) [1]."""
+        """Additional dry friction at rest per N·m of load torque (n,) [1]."""
 
     @property
     def stribeck_speed(self) -> _Array:
@@ -795,11 +795,11 @@ class Servos:
 
     @property
     def damping(self) -> _Array:
-        """Damping of gears and back-EMF (n,) [N m s/rad], which the torque limit does not bound."""
+        """Damping of gears and back-EMF (n,) [N·m s/rad], which the torque limit does not bound."""
 
     @property
     def kv(self) -> _Array:
-        """Derivative gain of the position loop (n,) [N m s/rad]; within the torque limit."""
+        """Derivative gain of the position loop (n,) [N·m s/rad]; within the torque limit."""
 
     @property
     def armature(self) -> _Array:
@@ -920,17 +920,17 @@ class _AxisFields(TypedDict, total=False):
 class Axis:
     """Settings of one task axis. Frozen; None selects the default.
 
-    A strength (`soft`, `firm`, `hold`) is a force [N] ([N m] for rotations) under the laws `"cap"`
-    and `"impedance"`, a torque budget [N m] under law `"paper"`; its default depends on law and
+    A strength (`soft`, `firm`, `hold`) is a force [N] ([N·m] for rotations) under the laws `"cap"`
+    and `"impedance"`, a torque budget [N·m] under law `"paper"`; its default depends on law and
     arm. A pair is (pushed toward -, pushed toward +).
 
     Args:
         soft: Strength of the yielding axis at a small deviation; tau- in eq. (9) of the paper.
         firm: Strength of the yielding axis at a large deviation; tau+ in eq. (9) of the paper.
         hold: Strength of a side that does not yield.
-        stiffness: Law impedance: spring [N/m or N m/rad]; default 0 for a side that yields, else
-            derived from the arm (`arm7`: 800 N/m, 20 N m/rad).
-        damping: Law impedance: damper [N s/m or N m s/rad]; default 0.
+        stiffness: Law impedance: spring [N/m or N·m/rad]; default 0 for a side that yields, else
+            derived from the arm (`arm7`: 800 N/m, 20 N·m/rad).
+        damping: Law impedance: damper [N s/m or N·m s/rad]; default 0.
         yields: Sides that yield, by the direction of the push; default `"both"` if `soft` or `firm`
             is given, else `"none"`.
         adaptation: Share eta of the deviation by which the target follows the tool, 0 <= eta < 1;
@@ -974,23 +974,23 @@ class Axis:
     ) -> Axis: ...
     @property
     def soft(self) -> tuple[float, float] | None:
-        """Strength at a small deviation, pushed toward (-, +) [N, N m]; None: default."""
+        """Strength at a small deviation, pushed toward (-, +) [N, N·m]; None: default."""
 
     @property
     def firm(self) -> tuple[float, float] | None:
-        """Strength at a large deviation, pushed toward (-, +) [N, N m]; None: default."""
+        """Strength at a large deviation, pushed toward (-, +) [N, N·m]; None: default."""
 
     @property
     def hold(self) -> float | None:
-        """Strength of a side that does not yield [N, N m]; None: default."""
+        """Strength of a side that does not yield [N, N·m]; None: default."""
 
     @property
     def stiffness(self) -> tuple[float, float] | None:
-        """Spring of law impedance, pushed toward (-, +) [N/m or N m/rad]; None: default."""
+        """Spring of law impedance, pushed toward (-, +) [N/m or N·m/rad]; None: default."""
 
     @property
     def damping(self) -> tuple[float, float] | None:
-        """Damper of law impedance, pushed toward (-, +) [N s/m or N m s/rad]; None: 0."""
+        """Damper of law impedance, pushed toward (-, +) [N s/m or N·m s/rad]; None: 0."""
 
     @property
     def yields(self) -> Literal["both", "+", "-", "none"] | None:
@@ -1116,9 +1116,9 @@ class NullSpace:
     Args:
         posture: Rest posture (n,) [rad]; None: q at reset.
         gain: Gain alpha of the null-space motion [1/s]; None: `Tracking.gain`.
-        max_torque: Largest torque of the null-space motion, summed over all joints [N m]; None: 2
+        max_torque: Largest torque of the null-space motion, summed over all joints [N·m]; None: 2
             if the arm is redundant for the task, else 0.
-        stiffness: Law impedance: stiffness of the null-space motion [N m/rad] instead of `gain`;
+        stiffness: Law impedance: stiffness of the null-space motion [N·m/rad] instead of `gain`;
             None: use `gain`.
         max_speed: Speed limit of the null-space motion [rad/s]; None: no limit.
         limit_avoidance: Weight of the joint-limit cost ``sum(((q - mid) / half_range)^2) / 2``.
@@ -1216,7 +1216,7 @@ class TorqueLimits:
     Args:
         margin: Margin of the limits over the demand, as a share of the usable torque; it is at
             least twice the friction.
-        floor: Minimum of the torque limits (n,) [N m]; None: the servos' friction.
+        floor: Minimum of the torque limits (n,) [N·m]; None: the servos' friction.
         stiffening_time: Time in which a limit may rise from zero to its ceiling [s]; 0: no bound.
         max_host_loss_force: Largest force on a hand along the task's translations after a host loss
             [N]; None: no bound. To keep it, the limits lose first their margin, then what exceeds
@@ -1427,7 +1427,7 @@ class Settings:
     def paper(cls, **overrides: Unpack[_SettingsFields]) -> Settings:
         """Preset for the paper's figures: no gravity model, only the paper's limits, no soft axis.
 
-        Budgets [N m]: soft 0.5, firm = hold = 10, null space 2. In all presets, `axes` changes only
+        Budgets [N·m]: soft 0.5, firm = hold = 10, null space 2. In all presets, `axes` changes only
         the named axes, and a group such as `tracking` only the given fields.
         """
 
@@ -1548,7 +1548,7 @@ class Command:
 
     Args:
         goal: Goals of the position servos (n,) [rad].
-        torque_limit: Magnitude of the torque that each servo may use (n,) [N m].
+        torque_limit: Magnitude of the torque that each servo may use (n,) [N·m].
         speed_limit: Speed for the servos' speed register (n,) [rad/s]; None: no limit.
     """
 
@@ -1562,7 +1562,7 @@ class Command:
 
     @property
     def torque_limit(self) -> _Array:
-        """Magnitude of the torque that each servo may use (n,) [N m]."""
+        """Magnitude of the torque that each servo may use (n,) [N·m]."""
 
     @property
     def speed_limit(self) -> _Array:
@@ -1626,7 +1626,7 @@ class JointStop:
 
     @property
     def friction(self) -> float:
-        """Friction of the other joints along the axis at the stop [N, N m].
+        """Friction of the other joints along the axis at the stop [N, N·m].
 
         inf if they cannot move the axis: the stop then carries all force above the cap.
         """
@@ -1638,7 +1638,7 @@ class JointStop:
 class AxisReport:
     """Capabilities along one task axis.
 
-    Forces in N, for rotations N m; displacements in m or rad. Pairs are (pushed toward -, pushed
+    Forces in N, for rotations N·m; displacements in m or rad. Pairs are (pushed toward -, pushed
     toward +).
     """
 
@@ -1648,14 +1648,14 @@ class AxisReport:
 
     @property
     def static_force(self) -> tuple[float, float]:
-        """Largest static push that the present torque limits hold [N, N m].
+        """Largest static push that the present torque limits hold [N, N·m].
 
         Negative if the arm cannot hold its own weight.
         """
 
     @property
     def capacity(self) -> tuple[float, float]:
-        """Largest static push that the servos hold at full torque [N, N m]."""
+        """Largest static push that the servos hold at full torque [N, N·m]."""
 
     @property
     def yields(self) -> tuple[bool, bool]:
@@ -1663,9 +1663,10 @@ class AxisReport:
 
     @property
     def yield_force(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Forces [N, N m] at which a side yields without friction: at small and large deviation.
+        """Static push at which the axis starts to yield, without joint friction [N, N·m].
 
-        One pair per side (-, +). The deviations are `thresholds`, at most 0.15 m or 0.4 rad.
+        One pair per direction of the push (-, +): the force at the lower and at the upper deviation
+        of `thresholds`, which are bounded here to 0.15 m or 0.4 rad.
         """
 
     @property
@@ -1677,18 +1678,18 @@ class AxisReport:
 
     @property
     def friction(self) -> float:
-        """Dry friction along the axis [N, N m], which a push from rest must also overcome."""
+        """Dry friction along the axis [N, N·m], which a push from rest must also overcome."""
 
     @property
     def friction_left(self) -> float:
-        """Friction along the axis in motion that the feed-forward does not compensate [N, N m].
+        """Friction along the axis in motion that the feed-forward does not compensate [N, N·m].
 
         The axis keeps moving only if its strength exceeds this friction.
         """
 
     @property
     def coupling(self) -> tuple[float, float]:
-        """Strength that would remain if the strength of this axis were 0 [N, N m].
+        """Strength that would remain if the strength of this axis were 0 [N, N·m].
 
         The other axes cause it, because they raise the torque limits of the same joints.
         """
@@ -1699,15 +1700,15 @@ class AxisReport:
 
     @property
     def hold(self) -> float:
-        """Largest force against pushes to which the axis does not yield [N, N m]."""
+        """Largest force against pushes to which the axis does not yield [N, N·m]."""
 
     @property
     def default_hold(self) -> float | None:
-        """Default of `hold` before `soft` or `firm` raised it [N, N m]; None if they did not."""
+        """Default of `hold` before `soft` or `firm` raised it [N, N·m]; None if they did not."""
 
     @property
     def host_loss_force(self) -> tuple[float, float]:
-        """Largest force on a hand that pushes along the axis if the host is lost now [N, N m].
+        """Largest force on a hand that pushes along the axis if the host is lost now [N, N·m].
 
         Includes gear friction and damping. The push starts at the arm's equilibrium and moves 0.15
         m at 25 mm/s, or 0.4 rad at 0.067 rad/s. inf if the arm cannot be moved so far, because it
@@ -1723,7 +1724,7 @@ class AxisReport:
 
     @property
     def path_friction(self) -> tuple[float, float]:
-        """Largest joint friction along the axis during a push of 0.15 m or 0.4 rad [N, N m].
+        """Largest joint friction along the axis during a push of 0.15 m or 0.4 rad [N, N·m].
 
         The push ends at the first stop. Many times `friction` if it passes a singular pose.
         """
@@ -1768,11 +1769,11 @@ class PoseReport:
 
     @property
     def torque_limit(self) -> _Array:
-        """Torque limits in this pose (n,) [N m]."""
+        """Torque limits in this pose (n,) [N·m]."""
 
     @property
     def gravity_margin(self) -> _Array:
-        """Torque limit minus and plus gravity (n, 2) [N m]; negative: the joint cannot hold."""
+        """Torque limit minus and plus gravity (n, 2) [N·m]; negative: the joint cannot hold."""
 
     @property
     def sigma_min(self) -> float:
@@ -1868,7 +1869,7 @@ class FeasibilityReport:
 
     @property
     def capacity(self) -> _Array:
-        """Smallest `AxisReport.capacity` of the poses (k, 2), pushed toward (-, +) [N, N m]."""
+        """Smallest `AxisReport.capacity` of the poses (k, 2), pushed toward (-, +) [N, N·m]."""
 
     @property
     def worst_pose(self) -> list[tuple[int, int]]:
@@ -1876,7 +1877,7 @@ class FeasibilityReport:
 
     @property
     def friction_left(self) -> _Array:
-        """Largest `AxisReport.friction_left` of the poses (k,) [N, N m].
+        """Largest `AxisReport.friction_left` of the poses (k,) [N, N·m].
 
         A yielding axis with a smaller `Axis.soft` cannot keep moving.
         """
@@ -2086,7 +2087,7 @@ class Controller:
             goal: Goals that hold the arm there (n,) [rad].
 
         Returns:
-            Stiffness k_g (n,) [N m/rad], used for the gravity offset from now on.
+            Stiffness k_g (n,) [N·m/rad], used for the gravity offset from now on.
 
         Raises:
             ConfigError: `kp` is unknown.
@@ -2184,11 +2185,11 @@ class Diagnostics:
 
     @property
     def axis_strength(self) -> _Array:
-        """Strength (k,): the force cap [N, N m]; under law paper tau^x of eq. (9) [N m]."""
+        """Strength (k,): the force cap [N, N·m]; under law paper tau^x of eq. (9) [N·m]."""
 
     @property
     def wrench(self) -> _Array:
-        """Wrench that the arm exerts under the law (k,) [N, N m]; 0 under law paper."""
+        """Wrench that the arm exerts under the law (k,) [N, N·m]; 0 under law paper."""
 
     @property
     def activation(self) -> _Array:
@@ -2219,11 +2220,11 @@ class Diagnostics:
 
     @property
     def gravity(self) -> _Array:
-        """Torques that hold the arm at rest at `q_predicted` (n,) [N m]."""
+        """Torques that hold the arm at rest at `q_predicted` (n,) [N·m]."""
 
     @property
     def feed_forward(self) -> _Array:
-        """Feed-forward of friction and damping (n,) [N m]."""
+        """Feed-forward of friction and damping (n,) [N·m]."""
 
     @property
     def gradient(self) -> _Array:
@@ -2286,33 +2287,33 @@ class Diagnostics:
 class WrenchEstimate:
     """Estimated external wrench at the tool, and its uncertainty.
 
-    Forces [N] and torques [N m] that the surroundings exert at the tool point: a push toward + is
+    Forces [N] and torques [N·m] that the surroundings exert at the tool point: a push toward + is
     positive. `str` returns one line.
     """
 
     @property
     def force(self) -> _Array:
-        """Force and torque (6,) [N, N m] along the axes of the task frame; 0 if not estimated."""
+        """Force and torque (6,) [N, N·m] along the axes of the task frame; 0 if not estimated."""
 
     @property
     def uncertainty(self) -> _Array:
-        """Bound (6,) [N, N m] on the error of `force`, if the options hold; inf: unknown."""
+        """Bound (6,) [N, N·m] on the error of `force`, if the options hold; inf: unknown."""
 
     @property
     def force_base(self) -> _Array:
-        """Force and torque (6,) along base axes [N, N m]."""
+        """Force and torque (6,) along base axes [N, N·m]."""
 
     @property
     def uncertainty_base(self) -> _Array:
-        """Bound (6,) on the error of `force_base` [N, N m]; inf: unknown."""
+        """Bound (6,) on the error of `force_base` [N, N·m]; inf: unknown."""
 
     @property
     def torque_residual(self) -> _Array:
-        """Torque that the surroundings exert on each joint (n,) [N m], low-passed."""
+        """Torque that the surroundings exert on each joint (n,) [N·m], low-passed."""
 
     @property
     def torque_uncertainty(self) -> _Array:
-        """Bound (n,) [N m] on the error of `torque_residual`, without `payload_error`."""
+        """Bound (n,) [N·m] on the error of `torque_residual`, without `payload_error`."""
 
     @property
     def residual_ratio(self) -> float:
@@ -2320,7 +2321,7 @@ class WrenchEstimate:
 
     @property
     def torque(self) -> _Array:
-        """Torque of each servo (n,) [N m], computed from lead and limit or measured."""
+        """Torque of each servo (n,) [N·m], computed from lead and limit or measured."""
 
     @property
     def velocity(self) -> _Array:
@@ -2366,9 +2367,9 @@ class ContactEstimator:
         payload_error: Possible unknown mass at the tool [kg].
         inertia_error: Error of the acceleration torques, computed with point masses.
         load_error: Error of a measured load or current.
-        torque_constant: Torque per current (n,) [N m/A]; required if a current is given.
-        max_wrench: Largest plausible force [N] and torque [N m].
-        touch, stop: Thresholds [N, N m] of these events by axis key, e.g. `{"xyz": 8.0}`. A
+        torque_constant: Torque per current (n,) [N·m/A]; required if a current is given.
+        max_wrench: Largest plausible force [N] and torque [N·m].
+        touch, stop: Thresholds [N, N·m] of these events by axis key, e.g. `{"xyz": 8.0}`. A
             threshold is raised to `guard` times the present uncertainty.
         hysteresis: Share of the threshold by which a force must fall below it to end an event.
         min_time: Minimum time beyond a threshold before an event begins or ends [s].
@@ -2423,9 +2424,9 @@ class ContactEstimator:
             dt: Time since the last reading [s], at most 1; None: 1 / rate of the controller's
                 settings.
             dq: Joint velocity (n,) [rad/s] instead of the filtered one.
-            load: Torques reported by the servos (n,) [N m], instead of lead and limit.
+            load: Torques reported by the servos (n,) [N·m], instead of lead and limit.
             current: Motor currents (n,) [A]; requires `torque_constant`.
-            sent: Goals (n,) [rad] and torque limits (n,) [N m] sent last; None: the controller's.
+            sent: Goals (n,) [rad] and torque limits (n,) [N·m] sent last; None: the controller's.
 
         Raises:
             ShapeError, OutOfRangeError, ConfigError: An input is invalid; nothing has changed.
@@ -2450,7 +2451,7 @@ class ContactEstimator:
             Q: Measured joint positions (T, n) [rad].
             dt: Time between readings [s], as for `update`.
             dq: Joint velocities (T, n) [rad/s], as for `update`.
-            load: Torques reported by the servos (T, n) [N m], as for `update`.
+            load: Torques reported by the servos (T, n) [N·m], as for `update`.
             current: Motor currents (T, n) [A], as for `update`.
             sent: Goals and limits (T, n) sent last before each reading; None: the controller's last
                 command, at all readings.
@@ -2461,10 +2462,10 @@ class ContactEstimator:
         """
 
     def uncertainty_at(self, q: ArrayLike) -> _Array:
-        """Compute the error bound (6,) [N, N m] for the arm at rest at `q` (n,) [rad]."""
+        """Compute the error bound (6,) [N, N·m] for the arm at rest at `q` (n,) [rad]."""
 
     def typical_uncertainty(self) -> _Array:
-        """Compute the median of `uncertainty_at` over 64 postures (6,) [N, N m]; takes 1 ms."""
+        """Compute the median of `uncertainty_at` over 64 postures (6,) [N, N·m]; takes 1 ms."""
 
     def reset(self) -> None:
         """Clear velocity, filters, stored commands and events; keep the tare."""
@@ -2522,7 +2523,7 @@ def update_contacts(
         contacts: Estimators of the arms (N,); the rows of None are skipped.
         Q: Measured joint positions (N, T, n) [rad].
         dt: Time between readings [s].
-        sent: Goals [rad] and torque limits [N m] (N, T, n) sent last before each reading.
+        sent: Goals [rad] and torque limits [N·m] (N, T, n) sent last before each reading.
         out: Arrays for velocity (N, n), force (N, 6) and uncertainty (N, 6) of the last estimates.
 
     Raises:
@@ -2659,7 +2660,7 @@ def holding_torque(c: float, soft: float, firm: float, hold: float, compliant: b
         compliant: True for compliant axes (k,), or one for all.
 
     Returns:
-        Holding torques (k,) [N m]; a number if `c` is one.
+        Holding torques (k,) [N·m]; a number if `c` is one.
 
     Raises:
         ShapeError, OutOfRangeError: Lengths differ, c is outside [0, 1], or a value is not finite.
@@ -2674,11 +2675,11 @@ def holding_torque(
     compliant: bool | Sequence[bool] | NDArray[np.bool_],
 ) -> _Array: ...
 def joint_torque_limits(A: ArrayLike, strength: ArrayLike) -> _Array:
-    """Compute the joint torque limits A strength (n,) [N m]; equation (11) of the paper.
+    """Compute the joint torque limits A strength (n,) [N·m]; equation (11) of the paper.
 
     Args:
         A: Activation matrix (n, k + 1).
-        strength: Holding torques (k + 1,) [N m], the null space last.
+        strength: Holding torques (k + 1,) [N·m], the null space last.
 
     Raises:
         ShapeError, OutOfRangeError: Sizes are inconsistent, or an entry is not finite.
@@ -2751,7 +2752,7 @@ class Lowering:
         servos: Its servo parameters, n entries.
         q: Last valid joint positions (n,) [rad].
         goal: Last goals sent (n,) [rad]; None: q plus gravity torque divided by k_p.
-        limit: Last torque limits sent (n,) [N m], clamped to the usable torque; None: 1.1 times
+        limit: Last torque limits sent (n,) [N·m], clamped to the usable torque; None: 1.1 times
             the gravity torque plus `torque_margin`.
         rest: Rest pose (n,) [rad]; None: descend at once.
         speed: Largest speed of any point of the arm [m/s].
@@ -2882,14 +2883,14 @@ if sys.platform != "win32":
                 timeout: Longest silence [s].
                 time: Time of the request [s].
                 longest: Age of the last reading above which a reading is not stored [s].
-                usual: True: return no bytes if they need no look. No reading needs attention then,
-                    and if the block contains the register Torque Enable, torque of all servos is on
-                    and the first packet of their last command is in their registers.
+                usual: True: return no bytes if no reading needs attention: if the block contains
+                    the register Torque Enable, torque of all servos is then on, and the first
+                    packet of their last command is in their registers.
 
             Returns:
                 The results of `SerialPort.exchange` and `ServoCodec.decode`. Nothing is stored
-                unless all replies are valid. If the bytes need no look: the readings of all joints,
-                or None if the codec has further servos.
+                unless all replies are valid. Without bytes, see `usual`: the readings of all
+                joints, or None if the codec has further servos.
 
             Raises:
                 OSError: The port has vanished, or is closed.
@@ -2910,7 +2911,7 @@ if sys.platform != "win32":
                 blocks: Address and size of each packet.
                 timeout: Longest time in which the port takes no bytes [s].
                 goal: See `ServoCodec.encode`, as for limit, velocity and max_speed.
-                limit: Torque limits (n,) [N m].
+                limit: Torque limits (n,) [N·m].
                 velocity: Largest speeds (n,) [rad/s].
                 max_speed: Upper bound of the speeds [rad/s].
 
@@ -2935,7 +2936,7 @@ class State:
         extra: Positions by name of the joints outside the chain, such as a gripper [rad]; None:
             there are none.
         age: Time since each position was sampled (n,) [s]; None: 0.
-        load: Torque as each servo estimates it (n,) [N m].
+        load: Torque as each servo estimates it (n,) [N·m].
         current: Current of each servo (n,) [A].
         voltage: Supply voltage at each servo (n,) [V]; NaN before the first reading.
         temperature: Temperature of each servo (n,) [deg C]; NaN before the first reading.
@@ -2994,7 +2995,7 @@ class JointReadings:
         ok: Mask (N,) of the positions that were read in this cycle.
         time: Sample times on the drive's clock [s]: (N,), or one number for all.
         velocity: Velocities as the servos report them (N,) [rad/s]; None: not reported.
-        load: Torques that the servos estimate from PWM duty or current (N,) [N m]; None: not
+        load: Torques that the servos estimate from PWM duty or current (N,) [N·m]; None: not
             reported.
         current: Motor currents (N,) [A]; None: not reported.
     """
@@ -3029,7 +3030,7 @@ class JointReadings:
 SUPPORT: Final[float]
 
 def torque_margin(servos: Servos, gravity: ArrayLike) -> _Array:
-    """Return the margin (n,) [N m] of torque limits that hold an arm with `gravity` (n,) [N m].
+    """Return the margin (n,) [N·m] of torque limits that hold an arm with `gravity` (n,) [N·m].
 
     The largest of 10 % of the usable torque, twice the friction and 30 % of the gravity torque.
     """
@@ -3049,7 +3050,7 @@ class HandGuidingLaw:
         swung: True for joints that moved in the swing (n,).
         lead: Mean of the leads goal - q in the motions up and down (n,) [rad].
         friction: Half the difference of these leads (n,) [rad].
-        damping: Sum of viscous damping, derivative gain and back-EMF (n,) [N m s/rad].
+        damping: Sum of viscous damping, derivative gain and back-EMF (n,) [N·m s/rad].
         stiffness_error: Factor by which k_p may be wrong in either direction, at least 1.
         delay: Time from the reading to the arrival of the goal [s], at most 0.5.
         torque_share: Torque limit beyond what gravity requires, as a share of the usable torque.
@@ -3075,7 +3076,7 @@ class HandGuidingLaw:
     ) -> HandGuidingLaw: ...
     @property
     def stiffness(self) -> _Array:
-        """Lower and upper bounds on k_p (2, n) [N m/rad], narrowed whenever the arm rests."""
+        """Lower and upper bounds on k_p (2, n) [N·m/rad], narrowed whenever the arm rests."""
 
     @property
     def play(self) -> _Array:
@@ -3253,9 +3254,9 @@ class ServoCodec:
                 is none; sign 0: unsigned, -1: two's complement, else value of the sign bit).
                 Address and size of 2 packets (size 0: there is none). 20 units and bounds: position
                 at angle 0 [counts]; sign; angle of a count [rad]; velocity of a unit [rad/s];
-                measured torque of a unit, torque lost in the gears [N m]; 1 if the current measures
+                measured torque of a unit, torque lost in the gears [N·m]; 1 if the current measures
                 the torque, else 0; current of a unit [A]; limit of a unit, torque lost in the gears
-                [N m]; largest limit and its torque [N m]; largest speed cap; speed without load
+                [N·m]; largest limit and its torque [N·m]; largest speed cap; speed without load
                 [rad/s]; smallest and largest goal, largest position, turn (0: no wrap-around)
                 [counts]; 1 if goals may exceed a turn, else 0; smallest usual voltage.
 
@@ -3315,7 +3316,7 @@ class ServoCodec:
         Args:
             servos: Indices of the servos.
             goal: Goals (n,) [rad].
-            limit: Torque limits (n,) [N m], at least 0.
+            limit: Torque limits (n,) [N·m], at least 0.
             velocity: Largest speeds (n,) [rad/s], at least 0; None or inf: no limit.
             max_speed: Upper bound of the speeds [rad/s]; 0: the joint's speed without load.
 
@@ -3393,8 +3394,8 @@ class CommandLimiter:
         thermal: Thermal model of the N servos.
         chain: Index in the drive of each joint of the chain (n,).
         extra: Names of the other joints (N - n,).
-        kp: Stiffness of all joints (N,) [N m/rad].
-        max_torque: Usable torques of all joints (N,) [N m].
+        kp: Stiffness of all joints (N,) [N·m/rad].
+        max_torque: Usable torques of all joints (N,) [N·m].
         max_jumps: Number of implausible positions in a row from which on a joint is faulty.
         max_heat: Heat above which a servo is too hot.
 
@@ -3437,19 +3438,19 @@ class CommandLimiter:
         *,
         lead: bool,
     ) -> tuple[_Array, _Array, _Array | None, _Array | None]:
-        """Return goals [rad], torque limits [N m] and largest speeds [rad/s] (N,) to send.
+        """Return goals [rad], torque limits [N·m] and largest speeds [rad/s] (N,) to send.
 
         The speeds of joints off the chain are inf; None without `velocity`. The last element is the
-        array of gravity torques (n,) [N m] at the present positions; None with `lead`.
+        array of gravity torques (n,) [N·m] at the present positions; None with `lead`.
 
         Args:
             goal: Requested goals (n,) [rad].
-            limit: Requested torque limits (n,) [N m].
+            limit: Requested torque limits (n,) [N·m].
             velocity: Largest speeds (n,) [rad/s]; None: not limited.
             positions: Filter of the N joints, with their positions.
-            off_chain: Goal [rad] and limit [N m] of each joint off the chain (N - n).
+            off_chain: Goal [rad] and limit [N·m] of each joint off the chain (N - n).
             ramp: Progress of the ramp from holding torque to usable torque, 0 to 1.
-            ramp_start: Lower bound of the ramp (n,) [N m].
+            ramp_start: Lower bound of the ramp (n,) [N·m].
             lead: True if goals may lie beyond the position limits to exert a force.
 
         Raises:
@@ -3474,7 +3475,7 @@ class CommandLimiter:
             readings: Reading of the N joints. Where its load is not finite, or None, the torque is
                 estimated as ``min(k_p |goal - position|, limit)``.
             goal: Goals in the servos (N,) [rad].
-            limit: Torque limits in the servos (N,) [N m].
+            limit: Torque limits in the servos (N,) [N·m].
             dt: Time since the last update [s].
             now: Present time [s].
 
@@ -3494,7 +3495,7 @@ class ThermalModel:
     thermal budget in use; h = 1 in steady state at the continuous torque.
 
     Args:
-        max_torque: Usable torques (N,) [N m].
+        max_torque: Usable torques (N,) [N·m].
         stall_current: Currents at these torques (N,) [A]; None: unknown.
         continuous: Share of the usable torque that a servo can exert continuously, in (0, 1].
         seconds: Thermal time constant of the winding [s].
@@ -3534,20 +3535,20 @@ class ThermalModel:
         """Store the measured temperature of a servo [deg C]; an index beyond N is ignored."""
 
     def update(self, torque: ArrayLike, dt: float) -> None:
-        """Update the heat with torques (N,) [N m] exerted over dt [s]."""
+        """Update the heat with torques (N,) [N·m] exerted over dt [s]."""
 
     def torque_ceiling(self) -> _Array:
-        """Return the largest torque limits (N,) [N m] at the present heat and temperature."""
+        """Return the largest torque limits (N,) [N·m] at the present heat and temperature."""
 
     def limit_current(self, torque: ArrayLike, least: ArrayLike, limit: ArrayLike) -> _Array:
-        """Return torque limits (N,) [N m] that keep the current within the supply.
+        """Return torque limits (N,) [N·m] that keep the current within the supply.
 
         ``least + s (limit - least)`` with the largest s in [0, 1] that the supply allows.
 
         Args:
-            torque: Expected torques without limits (N,) [N m].
-            least: Limits that are never reduced (N,) [N m]: those of the arm's weight.
-            limit: Requested limits (N,) [N m].
+            torque: Expected torques without limits (N,) [N·m].
+            least: Limits that are never reduced (N,) [N·m]: those of the arm's weight.
+            limit: Requested limits (N,) [N·m].
         """
 
 def _model(text: str, options: dict[str, Any]) -> Model:

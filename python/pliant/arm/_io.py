@@ -417,9 +417,9 @@ class ArmIO:
     def resume(self, rate: float) -> bool:
         """Take over the joints whose torque an ended program left on; send nothing.
 
-        Goals and limits are those in the servos. A joint that does not answer counts as having
-        torque, see `resume_silent`. Until it answers, it has the position that the program knew
-        before torque on.
+        Their goals and limits are those stored in the servos. A joint that does not answer counts
+        as having torque, see `resume_silent`; until it answers, its position is the one that the
+        ended program measured before it switched torque on.
 
         Args:
             rate: Rate of the reads [Hz].
@@ -428,7 +428,8 @@ class ArmIO:
             True if a joint has torque.
 
         Raises:
-            ServoError: A port cannot be opened.
+            ServoError: A port cannot be opened; or servos do not answer, and the others have no
+                torque.
         """
         goals, limits = self._reopen()
         has_torque = np.isfinite(goals)

@@ -132,7 +132,7 @@ class Gripper:
         return 2.0 * self._lever * math.sin(min(travel, math.pi) / 2.0)
 
     def _torque(self, force: float | None) -> float:
-        """Return the torque limit [N·m], of a sliding joint [N], for a `force` as in `close`."""
+        """Return the torque limit [N·m] (sliding joint: force [N]) for the `force` of `close`."""
         if force is None:
             return self.limit
         arm = self._lever if self._lever is not None and not self._sliding else 1.0

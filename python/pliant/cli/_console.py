@@ -61,7 +61,7 @@ class Keyboard:
         return pressed
 
     def discard(self) -> None:
-        """Drop what a person has typed before a question; lines of a script are kept."""
+        """Discard lines that were typed before a question is shown; keep those of a script."""
         if sys.stdin is not None and sys.stdin.isatty():
             self.pressed()
 

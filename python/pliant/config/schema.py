@@ -246,13 +246,13 @@ class Life(StrictModel):
 
 
 class Supply(StrictModel):
-    """Table of the servos' power supply.
+    """Power supply of the servos.
 
     Attributes:
         voltage: Nominal voltage [V] for simulated and emulated servos; real servos measure it.
             None: the rated voltage of each model.
-        current: Largest current of the supply [A]; None: no limit. Only for servos whose stall
-            current is known: those that limit the current.
+        current: Largest current of the supply [A]; None: no limit. Only for servos that limit
+            their current; no effect on the backend `sim`.
     """
 
     voltage: Positive | None = None
@@ -424,13 +424,13 @@ def _supply(config: Config) -> list[str]:
                 f"{volts:g} V; leave it out if the servos have different supplies: each model then "
                 "has its rated voltage"
             )
-        if not math.isfinite(row.stall_current):
+        if not math.isfinite(row.stall_current):  # set for servos that limit their current
             unknown.append(f"{joint} ({servo.model})")
     # Backend "sim" does not simulate servo currents, so the supply current has no limit.
     if config.supply.current is not None and config.backend != "sim" and unknown:
         out.append(
-            f"supply.current: the currents of {', '.join(unknown)} at stall are not known, so the "
-            "current of the supply cannot be kept; leave it out"
+            f"supply.current: {', '.join(unknown)} cannot limit their current, so the current of "
+            "the supply cannot be kept; leave it out"
         )
     return out
 

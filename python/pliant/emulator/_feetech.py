@@ -159,7 +159,7 @@ class StsServo(Servo):
         self.protect(0.0)
 
     def refresh(self) -> None:
-        """Write position, speed, load, voltage, temperature and current to their registers."""
+        """Write the present values and states of the servo to its registers."""
         self.put("present_position", self.position)
         self.put("present_velocity", self.shaft.speed / STEP)
         self.put("present_load", self.duty * 1000.0)

@@ -134,9 +134,11 @@ def _average(
     ticks: tuple[int, int],
     data: tuple[Array, Array, Array],
 ) -> Segment | None:
-    """Return the means of one joint over the range `ticks` (first, end) of a record.
+    """Return the segment of one joint over the range `ticks` (first, end) of a record.
 
-    Return None if the range is too short, or if the torque limit may have reduced the torque.
+    `data` holds positions [rad], goals [rad] and torque limits [N·m], (N, n) each. Return None if
+    the range is too short, or if the torque limit may have reduced the torque of a joint that
+    follows goals.
     """
     (start, end), (q, goal, limit) = ticks, data
     if (end - start) * rig.period < MIN_LENGTH:

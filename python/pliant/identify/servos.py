@@ -26,7 +26,8 @@ if TYPE_CHECKING:
     from pliant.identify.procedure import Arm, Steps, Tick
 
 
-#: Difference of the amplitudes of a goal and its joint, divided by friction over stiffness [1].
+#: Excess of a goal's amplitude over the amplitude of its joint, which overcomes the friction, in
+#: units of friction / stiffness [1].
 FRICTION_EXCESS = 4.0
 #: Largest amplitude of a goal [rad].
 MAX_SWING = 0.4

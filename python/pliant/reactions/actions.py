@@ -98,8 +98,7 @@ class _FixedTarget(Running):
 class Hold(Action):
     """Set the target to the present tool pose, so that the arm stops pushing and stays.
 
-    In a reaction without `until`, the action ends once the condition has been false for the time
-    `Reaction.clear`.
+    `Reaction.until` says when it ends.
     """
 
     def begin(self, tick: TickContext) -> Running:

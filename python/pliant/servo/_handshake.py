@@ -428,7 +428,7 @@ def _calibration_differences(device: Device, image: RegisterImage) -> list[str]:
 
 
 def _calibration_notes(device: Device) -> list[str]:
-    """Return warnings about a calibration file whose values agree with the servo."""
+    """Return a warning if the file has `drive_mode` 1 and the servo has no such register."""
     file = device.spec.calibration
     if file is None or device.id != device.spec.id or not file.drive_mode:
         return []

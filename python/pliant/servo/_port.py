@@ -466,13 +466,13 @@ class Port:
         *,
         has_decoder: bool = True,
     ) -> None:
-        """Store the readings of a group; add the indices of plausible ones to `accepted`.
+        """Store the readings of a group; add the indices of plausible readings to `accepted`.
 
         Args:
             group: The servos.
-            found: Their replies; None: they are usual and stored.
-            accepted: List that gets the indices.
-            has_decoder: True if the core has stored the readings that need no look.
+            found: Their replies; None: the core has stored all readings, and all are plausible.
+            accepted: List to which the indices are added.
+            has_decoder: True if the core has already decoded the replies; False: decode them here.
         """
         if found is None:
             accepted += group.indices

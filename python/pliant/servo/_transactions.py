@@ -432,12 +432,12 @@ class TransactionGuard:
             blocks: Alternative blocks of different lengths, see `read`.
             decoder: These servos, where the readings are stored; None: nowhere.
             longest: Age of the last reading above which a reading is not stored [s].
-            usual: True: replies with the first of `blocks` need no look, if the core finds nothing
-                that needs attention, see `ServoGroup.read`.
+            usual: True: return no replies with the first of `blocks` if the core finds nothing in
+                them that needs attention, see `ServoGroup.read`.
 
         Returns:
-            The replies; if they need no look, the readings of all joints, or None if there are
-            other servos.
+            The replies; without them, see `usual`, the readings of all joints, or None if there
+            are other servos.
 
         Raises:
             BusError: At least one reply is missing or corrupt; nothing is stored.

@@ -337,7 +337,7 @@ class ServoBus:
 
     @property
     def stall_current(self) -> Array:
-        """Current at the stall torque (n,) [A]; NaN if the data sheet gives none."""
+        """Current at the stall torque (n,) [A]; NaN for servos that do not limit their current."""
         return np.array([s.row.stall_current * len(s.servos) for s in self.specs])
 
     @property

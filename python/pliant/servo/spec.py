@@ -179,7 +179,7 @@ class ServoSpec:
             raise ConfigError(f"{self.name}: voltage is lowest and highest [V], got {row.voltage}")
 
     def _check_zero(self, zero: float) -> None:
-        """Raise `ConfigError` unless `zero` is at most a turn of the joint off the encoder."""
+        """Raise `ConfigError` if `zero` is more than one joint turn outside the encoder's range."""
         turn = self.row.counts_per_turn * max(self.gear_ratio, 1.0)
         low, high = -turn, self.row.max_position + turn
         if not low <= zero <= high:

@@ -167,7 +167,7 @@ class Replay:
         self._remaining, self.pace = self._transition_time, 0.0
 
     def _target(self) -> Array:
-        """Return the joint target (n,) [rad]: the motion, plus the offset left by a transition."""
+        """Return the joint target (n,) [rad]: the motion plus the present transition offset."""
         goal = self.motion.at(self.time)
         if self._remaining <= 0.0 or self._offset is None:
             return goal

@@ -178,7 +178,7 @@ class Publisher:
             speed=1.0 if self._pacer is None else self._pacer.speed,
         )
 
-    # Methods for the time without a controller.
+    # Methods that need no controller.
 
     def on_read(self) -> None:
         """Handle a new reading: pace a simulation; during a descent, send a snapshot."""

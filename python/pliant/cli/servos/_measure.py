@@ -56,7 +56,7 @@ class Lines(Protocol):
         """Return the next line, None if there is none yet; raise ConfigError at the end."""
 
     def discard(self) -> None:
-        """Drop what a person has typed before a question."""
+        """Discard lines that were typed before a question is shown."""
 
 
 class Session:

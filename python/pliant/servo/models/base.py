@@ -338,7 +338,8 @@ class ServoModel:
         speed_unit: One unit of the speed registers [rpm].
         current_unit: One unit of the current registers [A]; 0 without such registers.
         current_max: Largest value of the register Current Limit.
-        stall_current: Current at stall torque and rated voltage [A]; NaN if not used.
+        stall_current: Current at stall torque and rated voltage [A]; NaN for servos that do not
+            limit their current.
         rated: Supply voltage that the maker recommends [V].
         voltage: Lowest and highest supply voltage [V].
         overload: Share of the full torque above which overload protection acts; None if unknown.

@@ -160,7 +160,7 @@ impl PushPath<'_> {
         Sample { q: *q, distance, scaled, friction: self.friction_along(&scaled, row) }
     }
 
-    /// Returns the task rows at `q`, not scaled.
+    /// Returns the Jacobian rows of the task axes at `q`, before `Params::scale_rows`.
     fn rows(&self, q: &JointVec) -> TaskRows {
         let mut j_base = [[0.0; MAX_JOINTS]; MAX_AXES];
         self.model.chain().pose_and_rows(self.simd_level, q, Reference::WorldAligned, &mut j_base);

@@ -6,8 +6,8 @@ use crate::error::{Error, Result};
 use crate::model::Model;
 use crate::params::Servos;
 
-/// Distance of a goal beyond its position limit and the lead of the usable torque, above which its unit is probably
-/// wrong [rad].
+/// A goal that exceeds its position limit by more than this plus `max_torque / k_p`, the lead of the usable torque,
+/// probably has a wrong unit [rad].
 const MAX_GOAL_EXCESS: f64 = 1.0;
 
 /// Command for the n joints of the chain, and the state of the arm for which it is limited.

@@ -8,13 +8,13 @@
 //! ```text
 //! anchor = clip(anchor, q̂ − w, q̂ + w)
 //! goal   = anchor + lead₀ + c (g(q̂) − g₀) + b_f ρ tanh(v/v₀) + c_low b_d d v
-//! w      = w₀ (1 − 0.9 tanh |v|/v₀) + ½ (c_high − c_low) |g − g₀|
+//! w      = w₀ (1 − 0.9 tanh(|v|/v₀)) + ½ (c_high − c_low) |g − g₀| + w_e
 //! ```
 //!
 //! The interval from c_low to c_high contains the compliance 1/k_p. The play w grows by the possible error of the lead,
 //! so a wrong k_p can let the arm sag within the play but cannot make it drift. When the arm rests after a motion, its
-//! lead is known within the friction ρ and the least play w₀. This narrows the interval, and the play shrinks during
-//! the next motion.
+//! lead is known within the friction ρ and the least play w₀. This narrows the interval; w_e keeps the play as it was,
+//! and fades with the next motion.
 
 use std::sync::Arc;
 

@@ -110,9 +110,10 @@ const BLIND_RAMP_TIME: f64 = 6.0;
 const MAX_SILENCE: f64 = 0.2;
 /// Duration of a descent after which an arm with measured positions is released where it is, if it has stopped [s].
 const MAX_DURATION: f64 = 30.0;
-/// An arm has stopped if no point of it has moved by this distance [m] in this time [s]. On a line that loses most
+/// An arm has stopped if no point of it has moved by this distance [m] in [`STOPPED_TIME`]. On a line that loses most
 /// readings, an arm takes longer than [`MAX_DURATION`], and must not be released on its way.
 const STOPPED_DISTANCE: f64 = 0.02;
+/// Time over which [`STOPPED_DISTANCE`] is measured [s].
 const STOPPED_TIME: f64 = 10.0;
 /// Upper bound on the time between two ticks [s]; a longer time counts as this one.
 const MAX_TICK: f64 = 0.1;
@@ -705,7 +706,7 @@ impl Lowering {
         }
     }
 
-    /// Updates whether the arm has stopped, every [`STOPPED_TIME`].
+    /// Every [`STOPPED_TIME`], compares the positions with the previous ones and sets `has_stopped`.
     fn note_motion(&mut self, here: &ArmGeometry) {
         let (since, q) = self.compared;
         if self.blind || self.time - since < STOPPED_TIME {

@@ -72,7 +72,8 @@ impl ThermalModel {
         })
     }
 
-    /// Returns the share of the thermal budget in use (N); 1 in steady state at the continuous torque.
+    /// Returns the heat of each of the N servos: the share of its thermal budget in use, which is 1 in steady state at
+    /// the continuous torque.
     pub fn heat(&self) -> &[f64] {
         &self.heat
     }

@@ -39,7 +39,8 @@ use payload_ramp::{PayloadRamp, mass_moment};
 use state::State;
 use step::{PlainStep, Step};
 
-/// Largest torque that holds a payload set while the controller runs, as a multiple of the usable torque.
+/// Upper bound on the torque that holds a joint after the payload of a running controller has changed, as a multiple
+/// of the usable torque.
 const LARGEST_LOAD: f64 = 2.0;
 
 /// Compliant task-space controller of one arm.
@@ -317,9 +318,9 @@ impl Controller {
     /// Measures the stiffness k_g for the gravity offset on an arm that the goals `goal` (n) [rad] hold still at `q`
     /// (n) [rad], with [`Tracking::integrate`](crate::params::Tracking::integrate). Returns k_g (n) [N·m/rad].
     ///
-    /// `k_g,i = g_i / (goal_i − q_i)`, clamped to 0.3 to 3 times the configured `k_p`. Where |g_i| is at most three
-    /// times what friction or one encoder count can hide, k_g is the configured `k_p`. It is used for the gravity
-    /// offset only.
+    /// `k_g,i = g_i / (goal_i − q_i)`, clamped to 0.3 to 3 times the configured `k_p`. A joint whose |g_i| is at most
+    /// three times its friction, or three times the servo torque of one encoder count, keeps the configured `k_p`. k_g
+    /// is used for the gravity offset only.
     ///
     /// # Errors
     /// [`Error::Shape`] or [`Error::OutOfRange`] for `q` or `goal`; [`Error::Config`] without `k_p`.

@@ -283,8 +283,8 @@ impl StepContext<'_> {
         true
     }
 
-    /// Computes the joint targets, lines 7 to 11 of the listing. Evaluates the law, locks the joints that would exceed
-    /// a position limit (true in `locked`) and redistributes their motion to the others. Updates `singular` if the
+    /// Computes the joint targets before the goal slew, lines 7 to 11 of the listing. Joints that would exceed a
+    /// position limit are locked (true in `locked`), and the others take over their motion. Updates `singular` if the
     /// settings need it.
     #[inline(always)]
     fn solve<J: JointVector>(

@@ -1,4 +1,4 @@
-//! Kinematics: pose, Jacobian and gravity torques from joint positions; inverse kinematics.
+//! Kinematics: pose, Jacobian, gravity torques and mass matrix from joint positions; inverse kinematics.
 
 use nalgebra::{DVector, Matrix6xX};
 

@@ -1,4 +1,4 @@
-//! Moving joints of the chain and of what it carries, and the rigid bodies between them.
+//! Moving joints of the chain, joints beside it that follow them by mimic, and the rigid bodies between the joints.
 
 use std::collections::BTreeMap;
 

@@ -203,8 +203,8 @@ impl ServoArrays {
     }
 
     /// Returns the compliance 1/k_g [rad/(N·m)] of each joint of an arm at rest: `(goal − q) / holding`, clamped so
-    /// that k_g is 0.3 to 3 times the configured `k_p`. Where |holding| is at most three times what friction or one
-    /// encoder count can hide, the configured 1/`k_p`.
+    /// that k_g is 0.3 to 3 times the configured `k_p`. A joint whose |holding| is at most three times its friction, or
+    /// three times the servo torque of one encoder count, keeps the configured 1/`k_p`.
     pub(crate) fn captured_compliance(&self, n: usize, q: &JointVec, goal: &JointVec, holding: &JointVec) -> JointVec {
         let mut captured = self.compliance;
         for i in 0..n {
