@@ -145,7 +145,10 @@ def test_it_ends_with_the_number_of_problems(count, message, monkeypatch, capsys
             "voltage = 11.1",
             "supply.voltage: XL330-M288 of elbow_flex takes 3.7 to 6 V, got 11.1 V; leave it out",
         ),
-        ("current = 4.0", "supply.current: .*STS3215-7.4V.* cannot limit their current.*; leave it out"),
+        (
+            "current = 4.0",
+            "supply.current: .*STS3215-7.4V.* cannot limit their current.*; leave it out",
+        ),
     ],
 )
 def test_a_supply_that_does_not_fit_the_servos_is_named(supply, message, tmp_path, capsys):

@@ -368,6 +368,21 @@ def test_a_port_that_this_program_has_open_is_told_apart(monkeypatch):
         assert f"{port} is in use by {what}: close" in transport._cannot_open(port, "busy")
 
 
+@pytest.mark.parametrize("protocol", ["p1", "p2"])
+def test_a_closed_port_is_free_while_another_thread_starts_a_program(protocol):
+    master, slave = os.openpty()
+    path = os.ttyname(slave)
+    os.close(slave)
+    opened = RustypotTransport(path, 1_000_000, protocol)
+    # A program that is being started has copies of the descriptors until it runs.
+    copies = [os.dup(number) for number in opened._descriptors]
+    opened.close()
+    RustypotTransport(path, 1_000_000, protocol).close()
+    for number in (*copies, master):
+        os.close(number)
+    assert copies
+
+
 def test_a_port_whose_link_is_gone_counts_as_closed(tmp_path):
     with emulator.Emulator([emulator.Device("STS3215", id=1)]) as bus:
         link = tmp_path / "by-id"

@@ -15,10 +15,13 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol
 from pliant._core import ServoError
 
 if sys.platform != "win32":
+    import fcntl
+    import termios
+
     from pliant._core import SerialPort
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from numpy.typing import ArrayLike
 
@@ -140,9 +143,10 @@ class RustypotTransport:
         # Resolved now: the link of an adapter that is pulled is gone before the port is closed.
         self._path = os.path.realpath(port)
         _OPEN.add(self._path)
+        self._descriptors = _descriptors(port) - before
         # Packets of Protocol 1.0 use the file descriptor of the port if it is known.
-        opened = _descriptors(port) - before if protocol == "p1" else set()
-        self.serial = SerialPort(opened.pop()) if len(opened) == 1 else None
+        is_known = protocol == "p1" and len(self._descriptors) == 1
+        self.serial = SerialPort(*self._descriptors) if is_known else None
 
     def read(self, id: int, address: int, size: int) -> tuple[bytes, int]:
         """Read `size` bytes of one servo from `address` on; return them and the status byte."""
@@ -207,6 +211,7 @@ class RustypotTransport:
         """Close the serial port."""
         if self.serial is not None:
             self.serial.close()
+        _unlock(self._descriptors)
         self._io.close()
         _OPEN.discard(self._path)
 
@@ -330,6 +335,19 @@ def _descriptors(path: str) -> set[int]:
                 if os.fstat(int(name)).st_rdev == device:
                     found.add(int(name))
     return found
+
+
+def _unlock(descriptors: Iterable[int]) -> None:
+    """Give up the exclusive use of a port before it is closed.
+
+    A process that another thread is starting has copies of the descriptors until it runs its
+    program, and would keep the port locked for so long.
+    """
+    if sys.platform != "win32":
+        for number in descriptors:
+            with suppress(OSError):
+                fcntl.ioctl(number, termios.TIOCNXCL)
+                fcntl.flock(number, fcntl.LOCK_UN)
 
 
 def drop_port(path: str) -> None:
