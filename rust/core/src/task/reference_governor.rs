@@ -447,6 +447,14 @@ mod tests {
         let target = Pose { position: [3.0, 0.0, 0.0], ..Pose::IDENTITY };
         let mut governor = ReferenceGovernor::new(Pose::IDENTITY);
         assert_eq!(governor.update::<BaselineF64>(&target, [f64::INFINITY; 2], [1.0, 4.0], 0.01), target);
+        // With one finite limit, the block without a limit has the velocity zero, also at its target.
+        let mut governor = ReferenceGovernor::new(Pose::IDENTITY);
+        for tick in 1..4 {
+            let target = screw(AXES[2], 1e-4 * f64::from(tick));
+            assert_eq!(governor.update::<BaselineF64>(&target, [0.25, f64::INFINITY], [1.0, 4.0], 0.01), target);
+            assert!(norm::<BaselineF64>(&[governor.velocity[0], governor.velocity[1], governor.velocity[2]]) > 0.009);
+            assert_eq!(governor.velocity[3..], [0.0; 3]);
+        }
     }
 
     /// Returns the rotation vector [rad] of a pose.
