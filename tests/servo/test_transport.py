@@ -3,6 +3,8 @@
 import math
 import os
 import select
+import subprocess
+import sys
 import threading
 import time
 from types import SimpleNamespace
@@ -381,6 +383,32 @@ def test_a_closed_port_is_free_while_another_thread_starts_a_program(protocol):
     for number in (*copies, master):
         os.close(number)
     assert copies
+
+
+TIMED = """
+import os, signal
+from pliant.servo import BusError, RustypotTransport
+master, slave = os.openpty()
+transport = RustypotTransport(os.ttyname(slave), 1_000_000, {protocol!r}, 0.05)
+handled = []
+signal.signal(signal.SIGALRM, lambda *_: handled.append(1))
+signal.setitimer(signal.ITIMER_REAL, 0.005, 0.005)
+for request in (lambda: transport.ping(7), lambda: transport.write(7, 64, b"1")):
+    try:
+        print(request())
+    except BusError as error:
+        print(error.reason)
+signal.setitimer(signal.ITIMER_REAL, 0.0)
+assert handled
+"""
+
+
+@pytest.mark.parametrize("protocol", ["p1", "p2"])
+def test_a_missing_reply_ends_the_wait_although_a_timer_interrupts_it(protocol):
+    # In a program of its own, which can be killed: a wait without end does not return to Python.
+    program = [sys.executable, "-c", TIMED.format(protocol=protocol)]
+    result = subprocess.run(program, capture_output=True, text=True, timeout=30, check=False)
+    assert result.stdout.split() == ["False", "timeout"], result.stderr
 
 
 def test_a_port_whose_link_is_gone_counts_as_closed(tmp_path):

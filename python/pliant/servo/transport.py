@@ -7,7 +7,9 @@ test fake); `ServoBus(..., transport=...)` takes a function that opens such an o
 from __future__ import annotations
 
 import os
+import signal
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from glob import glob
 from typing import TYPE_CHECKING, Any, Literal, Protocol
@@ -21,7 +23,7 @@ if sys.platform != "win32":
     from pliant._core import SerialPort
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from numpy.typing import ArrayLike
 
@@ -153,7 +155,7 @@ class RustypotTransport:
         if self.serial is not None:
             return self._exchange(READ, (id,), (address, size))[0]
         try:
-            values, status = self._io.read_raw_data_with_error(id, address, size)
+            values, status = _wait_for(self._io.read_raw_data_with_error, id, address, size)
         except RuntimeError as error:
             raise self._failed(error, id) from error
         return bytes(values), int(status)
@@ -161,7 +163,7 @@ class RustypotTransport:
     def write(self, id: int, address: int, data: bytes) -> int:
         """Write bytes to one servo from `address` on; return the status byte of its reply."""
         try:
-            return int(self._io.write_raw_data_with_error(id, address, list(data)))
+            return int(_wait_for(self._io.write_raw_data_with_error, id, address, list(data)))
         except RuntimeError as error:
             raise self._failed(error, id) from error
 
@@ -173,7 +175,7 @@ class RustypotTransport:
         if self.serial is not None:
             return self._exchange(SYNC_READ, ids, (address, size))
         try:
-            answers = self._io.sync_read_raw_data_with_error(list(ids), address, size)
+            answers = _wait_for(self._io.sync_read_raw_data_with_error, list(ids), address, size)
         except RuntimeError as error:
             raise self._failed(error, None) from error
         return [(bytes(values), int(status)) for values, status in answers]
@@ -191,14 +193,14 @@ class RustypotTransport:
     def ping(self, id: int) -> bool:
         """Return True if servo `id` answers a ping within the reply timeout."""
         try:
-            return bool(self._io.ping(id))
+            return bool(_wait_for(self._io.ping, id))
         except RuntimeError as error:
             raise self._failed(error, id) from error
 
     def reboot(self, id: int) -> None:
         """Restart a servo; only Protocol 2.0 supports this."""
         try:
-            self._io.reboot(id)
+            _wait_for(self._io.reboot, id)
         except RuntimeError as error:
             raise self._failed(error, id) from error
 
@@ -323,6 +325,18 @@ def _cannot_open(port: str, text: str) -> str:
     if "typewriter" in lower or "inappropriate ioctl" in lower:
         return f"{port} is not a serial port; there are: {', '.join(serial_ports()) or 'none'}"
     return f"cannot open {port}: {text}"
+
+
+def _wait_for(request: Callable[..., Any], *arguments: Any) -> Any:
+    """Return the result of a request of rustypot, also if a timer interrupts this thread.
+
+    Each signal starts rustypot's wait for a reply again, so a periodic one would let it wait for
+    ever. Signals interrupt the main thread, so the request runs in another one then.
+    """
+    if sys.platform == "win32" or not signal.getitimer(signal.ITIMER_REAL)[1]:
+        return request(*arguments)
+    with ThreadPoolExecutor(1) as pool:
+        return pool.submit(request, *arguments).result()
 
 
 def _descriptors(path: str) -> set[int]:
