@@ -26,8 +26,8 @@ class Budget:
         seconds: Thermal time constant of a servo's winding [s]. At full torque the budget is used
             up after ``−seconds ln(1 − continuous²)``: 5.2 s by default.
         supply: Largest current of the power supply [A]; None: no limit.
-        hottest: Highest temperature of the servos [°C]. For a servo whose own limit is known and
-            lower, that one counts.
+        hottest: Highest temperature of the servos [°C]; the limit of a servo itself, if it is known
+            and lower, takes its place.
     """
 
     continuous: float = 0.4
@@ -67,8 +67,8 @@ def thermal_faults(
     Args:
         thermal: Thermal model of the N servos.
         names: Joint names (N,).
-        temperature: Measured temperatures (N,) [°C]; those of the model are higher for servos
-            with a lower limit.
+        temperature: Measured temperatures (N,) [°C]. The model has higher ones for servos whose
+            limit is below `Budget.hottest`: by the difference of the two limits.
     """
     faults = []
     limits = thermal.zero_torque_temperature + np.subtract(temperature, thermal.temperature)

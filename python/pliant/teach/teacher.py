@@ -105,7 +105,7 @@ class Teacher:
         }
 
     def gripper_pressed(self, state: State) -> bool:
-        """Return True if a gripper is pressed shut that was open at the last call."""
+        """Return True if a gripper that was open at the last call is now pressed shut."""
         closed = False
         for name, gripper in self._arm.grippers.items():
             share = (state.extra[name] - gripper.closed) / (gripper.opened - gripper.closed)
