@@ -258,7 +258,7 @@ def as_pose(pose: _PoseLike, /) -> Pose:
         ShapeError: `pose` has another shape. Seven numbers are rejected, since the order of a
             quaternion is ambiguous.
         ConfigError, OutOfRangeError: As for `Pose`.
-        TypeError: `pose` is not numeric, or an object without such an accessor.
+        TypeError: `pose` is none of these.
     """
 
 @final
@@ -270,7 +270,7 @@ class Payload:
         com: Centre of mass (3,) in the tool frame [m].
 
     Raises:
-        OutOfRangeError, ShapeError, ConfigError: An argument is out of range, or is not numeric.
+        OutOfRangeError, ShapeError, ConfigError: An argument is invalid.
     """
 
     def __new__(cls, mass: float, com: ArrayLike = (0.0, 0.0, 0.0)) -> Payload: ...
@@ -600,23 +600,17 @@ class Model:
         self, q: ArrayLike, reference: _Reference = "world_aligned", *, out: tuple[_Array, _Array]
     ) -> tuple[_Array, _Array]: ...
     def forward_kinematics(self, q: ArrayLike) -> _Array:
-        """Compute the pose `base_from_tool` (4, 4) at joint positions `q` (n,) [rad or m].
-
-        Raises the exceptions of `kinematics`.
-        """
+        """Compute the pose `base_from_tool` (4, 4) at `q` (n,) [rad or m]; see `kinematics`."""
 
     def jacobian(self, q: ArrayLike, reference: _Reference = "world_aligned") -> _Array:
         """Compute the Jacobian (6, n) of the tool at `q` (n,) [rad or m], linear rows first.
 
         The rows refer to the axes of the base, or with ``reference="local"`` to those of the tool.
-        Raises the exceptions of `kinematics`.
+        See `kinematics`.
         """
 
     def gravity(self, q: ArrayLike) -> _Array:
-        """Compute the torques (n,) [N·m or N] that hold the arm at rest at `q` (n,) [rad or m].
-
-        Raises the exceptions of `kinematics`.
-        """
+        """Compute the torques (n,) [N·m or N] that hold the arm at rest at q; see `kinematics`."""
 
     def inverse_kinematics(
         self,
@@ -1506,10 +1500,9 @@ class Settings:
     ) -> Settings:
         """Return settings with `soft` of yielding axes raised to three times their static friction.
 
-        At this strength, the error in tracking a sinusoid is below a tenth of its amplitude if
-        friction is known within 30 % and reading and command are each delayed by one tick. A softer
-        axis may not start or reverse. A larger `soft` is kept; `firm` and `hold` are raised to at
-        least `soft`.
+        At this strength, the tracking error of a sinusoid is below a tenth of its amplitude if
+        friction is known within 30 % and the delay is one tick each way. A softer axis may not
+        start or reverse. A larger `soft` is kept; `firm` and `hold` are raised to at least `soft`.
 
         Args:
             model: The arm.
@@ -1560,7 +1553,7 @@ class Settings:
 
 @final
 class Command:
-    """Goals and limits of the servos for one tick; only a step with it as `out` changes its arrays.
+    """Goals and limits of the servos for one tick; its arrays change only if it is a step's `out`.
 
     Args:
         goal: Goals of the position servos (n,) [rad].
@@ -1603,9 +1596,6 @@ class BatchState:
     Args:
         n: Number of joints of an arm.
         numbers: Contents, as in a pickle: 52 + 7 n numbers per arm.
-
-    Raises:
-        ShapeError, OutOfRangeError: The length of `numbers` or `n` is invalid.
     """
 
     def __new__(cls, n: int, numbers: ArrayLike) -> BatchState: ...
@@ -2038,7 +2028,7 @@ class Controller:
                 settings whose yielding axes have these values as `soft` and `firm`. None: the caps
                 of the settings.
             adaptation: Adaptation eta (N, 6) of these axes in each row; NaN for axes that do not
-                yield. None: the adaptation of the settings.
+                yield. None: that of the settings.
             invalid: Handling of rows with an invalid q, target, dq, cap or adaptation:
                 ``"raise"``: an error names the first one before any arm is stepped; ``"nan"``:
                 their command is NaN, their state does not change, and the others are stepped.
@@ -2058,10 +2048,7 @@ class Controller:
         """Return an initial state of `count` arms for `step_batch`.
 
         The first step of an arm resets it to its positions. A state has 8 (52 + 7 n) bytes per arm:
-        0.81 GB for a million arms of seven joints.
-
-        Raises:
-            OutOfRangeError: The state exceeds the free memory.
+        0.81 GB for a million arms of seven joints; `OutOfRangeError` if the memory has less room.
         """
 
     def reset(self, q: ArrayLike) -> None:
@@ -2119,7 +2106,7 @@ class Controller:
             Stiffness k_g (n,) [N·m/rad], used for the gravity offset from now on.
 
         Raises:
-            ConfigError: The controller has no servo parameters, so `kp` is unknown.
+            ConfigError: There are no servo parameters.
             ShapeError, OutOfRangeError: `q` or `goal` is invalid.
         """
 
@@ -2644,10 +2631,10 @@ def check_path(
     Args:
         model: The arm.
         settings: Settings to check.
-        path_or_pose: One posture (n,) or a path (N, n) [rad]; or a pose `base_from_tool`: a `Pose`,
-            a (4, 4) matrix with last row 0 0 0 1, or an object that exposes one as `homogeneous`,
-            `as_matrix`, `matrix` or `A`. For a task without rotations also a position (3,) [m]; for
-            an arm of three joints, (3,) is read as a posture.
+        path_or_pose: One posture (n,) or a path (N, n) [rad]; or a pose `base_from_tool`, as a
+            (4, 4) matrix with last row 0 0 0 1 or another form that `as_pose` accepts. For a task
+            without rotations also a position (3,) [m]; for an arm of three joints, (3,) is read as
+            a posture.
         servos: Servos of the joints; None: those of the model.
         q0: Joint positions (n,) [rad] at which the search for a pose starts; None: mid-range.
 
@@ -2756,9 +2743,6 @@ class ArmPoints:
     Args:
         model: The arm.
         armature: Inertia of the servos' rotors at the joints (n,) [kg m^2]; None: 0.
-
-    Raises:
-        ShapeError: An array does not have n entries, also in the methods.
     """
 
     def __new__(cls, model: Model, armature: ArrayLike | None = None) -> ArmPoints: ...
@@ -3078,9 +3062,6 @@ def torque_margin(servos: Servos, gravity: ArrayLike) -> _Array:
 
     It is the largest of 10 % of the usable torque, twice the friction and 30 % of the gravity
     torque.
-
-    Raises:
-        ShapeError: `gravity` does not have n entries.
     """
 
 @final
@@ -3413,7 +3394,7 @@ class ServoCodec:
         """
 
     def reading(self, servo: int) -> _Array:
-        """Return the last accepted reading of a servo, 8 numbers; NaN for values not read.
+        """Return the last accepted reading of a servo: 8 numbers, NaN if not read.
 
         The numbers are: position without wrap-around [counts], turns, time [s]; registers of
         voltage and temperature; time of the last voltage that was not too low [s]; number of

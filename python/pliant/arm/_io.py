@@ -154,10 +154,10 @@ class LowTorqueWarning:
 
     The torque limit of a joint [N·m] is too low if ``limit < 0.5 |g|`` and ``limit + τ_f < |g|``,
     with the joint's gravity torque g and dry friction τ_f [N·m]. Commands of a `Controller` are not
-    checked, because their limits carry the weight.
+    checked, because their limits allow for the weight.
 
     Attributes:
-        since: Time since which a limit is too low [s]; None: no limit is.
+        since: Time since which a limit is too low [s]; None: no limit is too low.
     """
 
     def __init__(self, model: Model, servos: Servos) -> None:

@@ -67,8 +67,8 @@ def thermal_faults(
     Args:
         thermal: Thermal model of the N servos.
         names: Joint names (N,).
-        temperature: Measured temperatures (N,) [°C]. The model has higher ones for servos whose
-            limit is below `Budget.hottest`: by the difference of the two limits.
+        temperature: Measured temperatures (N,) [°C]; those of the model are higher by the
+            difference of `Budget.hottest` and a lower limit of the servo.
     """
     faults = []
     limits = thermal.zero_torque_temperature + np.subtract(temperature, thermal.temperature)
