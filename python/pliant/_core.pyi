@@ -1553,7 +1553,7 @@ class Settings:
 
 @final
 class Command:
-    """Goals and limits of the servos for one tick; its arrays change only if it is a step's `out`.
+    """Goals and limits of the servos for one tick. A step changes its arrays only if it is `out`.
 
     Args:
         goal: Goals of the position servos (n,) [rad].

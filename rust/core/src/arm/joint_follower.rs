@@ -1,8 +1,8 @@
 //! Following of joint targets, of a leader arm or a policy, with the force of the tool bounded along x, y and z.
 //!
 //! The goals follow the targets in joint space, so every joint follows its own target, also near a singular pose. The
-//! torque limits carry the weight and the largest forces F_a along the base axes. Per joint i, with the reference r,
-//! the gravity torque g, the friction ρ, the usable torque τ_max, and the damping d, which includes back-EMF:
+//! torque limits allow for the weight and the largest forces F_a along the base axes. Per joint i, with the reference
+//! r, the gravity torque g, the friction ρ, the usable torque τ_max, and the damping d, which includes back-EMF:
 //!
 //! ```text
 //! r′   = r + s (q_target − r)                          with s ≤ 1 so that tool and joints keep their speed limits

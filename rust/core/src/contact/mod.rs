@@ -1,7 +1,7 @@
 //! Contact estimation with position servos: wrench at the tool, error bound and events.
 //!
-//! The torques of the servos are computed from goals, limits and positions. The external force F balances what gravity
-//! torque g, acceleration, friction τ_f and damping d leave of them:
+//! The torques of the servos are computed from goals, limits and positions. The external force F follows from the
+//! residual of their balance with gravity torque g, acceleration, friction τ_f and damping d:
 //!
 //! `JᵀF = g + M q̈ + τ_f tanh(v/v₀) + d v − clip(k_p (goal − q) − k_v v, ±limit)`
 //!

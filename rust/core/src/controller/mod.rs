@@ -243,7 +243,7 @@ impl Controller {
         if let Some(compliance) = self.captured {
             params.gravity_compliance = compliance;
         }
-        // The record is that of a step with the previous settings.
+        // Complete the record now: the last step had the previous settings.
         self.diagnostics = self.record();
         // Keep a measured delay unless the new settings change the delay.
         if settings.delay.to_bits() != self.settings.delay.to_bits() {
@@ -425,8 +425,8 @@ impl Controller {
         self.state.limit.map(|_| &self.command)
     }
 
-    /// Returns the record of the last step. After a plain step, a step with all parts at the same positions and
-    /// reference completes it.
+    /// Returns the record of the last step. If that was a plain step, runs a full step of a copy at the same positions
+    /// and reference to complete the record.
     fn record(&self) -> Diagnostics {
         let mut record = self.diagnostics;
         if record.is_partial {
