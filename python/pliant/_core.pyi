@@ -660,8 +660,8 @@ class Model:
         `Controller.step_joints` makes the same check.
 
         Raises:
-            OutOfRangeError: A joint is beyond its limits by more than 0.2 rad or a tenth of its
-                travel.
+            OutOfRangeError: A joint is beyond its limits by more than 0.2 rad, or a tenth of its
+                travel if prismatic.
             ShapeError, TypeError: `q` is not n numbers.
         """
 
@@ -749,8 +749,7 @@ class Servos:
         stiffness_known: True if `kp` is known within 10 %.
 
     Raises:
-        ConfigError, OutOfRangeError, ShapeError: A field is missing or unknown, or its value is
-            invalid.
+        ConfigError, OutOfRangeError, ShapeError: A field is missing, unknown or invalid.
     """
 
     def __new__(
@@ -1057,7 +1056,7 @@ class _TrackingFields(TypedDict, total=False):
 class Tracking:
     """Tracking of the target by the stiff axes. Frozen; `replace` makes variants.
 
-    Fields that are not given keep the values of the preset or of the replaced settings.
+    Fields not given keep the values of the preset or of the replaced settings.
 
     Args:
         gain: Gain K_x [1/s], eq. (5) of the paper: a number, or one per axis of the task.
@@ -1072,7 +1071,7 @@ class Tracking:
             accumulates in the goal; 0: no integral action.
 
     Raises:
-        ConfigError, OutOfRangeError, ShapeError: A field is unknown, or its value is invalid.
+        ConfigError, OutOfRangeError, ShapeError: A field is unknown or invalid.
     """
 
     def __new__(
@@ -1117,11 +1116,11 @@ class _NullSpaceFields(TypedDict, total=False):
 class NullSpace:
     """Motion of the joints that leaves the task unchanged. Frozen; `replace` makes variants.
 
-    Fields that are not given keep the values of the preset or of the replaced settings.
+    Fields not given keep the values of the preset or of the replaced settings.
 
     Args:
         posture: Rest posture (n,) [rad]; None: q at reset.
-        gain: Gain alpha of the null-space motion [1/s]; None: `Tracking.gain`.
+        gain: Gain alpha of the null-space motion [1/s]; None: the largest `Tracking.gain`.
         max_torque: Largest torque of the null-space motion, summed over all joints [N·m]; None: 2
             if the arm is redundant for the task, else 0.
         stiffness: Law impedance: stiffness of the null-space motion [N·m/rad] instead of `gain`;
@@ -1132,7 +1131,7 @@ class NullSpace:
             the damped J+, eq. (4) of the paper.
 
     Raises:
-        ConfigError, OutOfRangeError, ShapeError: A field is unknown, or its value is invalid.
+        ConfigError, OutOfRangeError, ShapeError: A field is unknown or invalid.
     """
 
     def __new__(
@@ -1176,7 +1175,7 @@ class _CompensationFields(TypedDict, total=False):
 class Compensation:
     """Shares of friction, damping and delay that are compensated, 0 to 1. Frozen.
 
-    Fields that are not given keep the values of the preset or of the replaced settings.
+    Fields not given keep the values of the preset or of the replaced settings.
 
     Args:
         friction: Share of the friction that the feed-forward compensates.
@@ -1184,7 +1183,7 @@ class Compensation:
         delay: Share of the delay that the prediction compensates.
 
     Raises:
-        ConfigError, OutOfRangeError, ShapeError: A field is unknown, or its value is invalid.
+        ConfigError, OutOfRangeError, ShapeError: A field is unknown or invalid.
     """
 
     def __new__(
@@ -1217,7 +1216,7 @@ class _TorqueLimitsFields(TypedDict, total=False):
 class TorqueLimits:
     """Joint torque limits sent to the servos. Frozen; `replace` makes variants.
 
-    Fields that are not given keep the values of the preset or of the replaced settings.
+    Fields not given keep the values of the preset or of the replaced settings.
 
     Args:
         margin: Margin of the limits over the demand, as a share of the usable torque; it is at
@@ -1229,7 +1228,7 @@ class TorqueLimits:
             part beyond the arm's weight. It takes 0.3 ms longer, or 1 ms if it reduces limits.
 
     Raises:
-        ConfigError, OutOfRangeError, ShapeError: A field is unknown, or its value is invalid.
+        ConfigError, OutOfRangeError, ShapeError: A field is unknown or invalid.
     """
 
     def __new__(
@@ -1296,11 +1295,11 @@ class PaperOptions:
             the parameters of its sides, as a share of `soft_until`; None: 0.1, law paper 0.
         raw_deviation: Compute the compliance from the raw instead of the adapted deviation.
         budget_on_goal: Law paper: clamp the step of each axis to its budget.
-        lead_limit: Law paper: largest lead goal - q [rad]; None: the lead that the torque limit
-            can use; inf: no limit.
+        lead_limit: Law paper: largest lead goal - q [rad]; None: slightly more than the lead at
+            which the servo reaches its torque limit; inf: no limit.
 
     Raises:
-        ConfigError, OutOfRangeError, ShapeError: A field is unknown, or its value is invalid.
+        ConfigError, OutOfRangeError, ShapeError: A field is unknown or invalid.
     """
 
     def __new__(
@@ -1379,7 +1378,7 @@ class Settings:
 
     In a group such as `tracking`, fields that are not given keep the default, or the value of the
     preset or of the replaced settings: ``Settings.door(null_space=NullSpace(max_torque=1.0))``
-    keeps the preset's `null_space.gain`. Presets and `replace` raise the same errors as the class.
+    keeps the preset's `null_space.gain`. Presets and `replace` raise the errors of the class.
 
     Args:
         task: Controlled axes and their frame: a `Task`, or its axis key.
@@ -1561,7 +1560,7 @@ class Command:
         speed_limit: Speed for the servos' speed register (n,) [rad/s]; None: no limit.
 
     Raises:
-        ShapeError, TypeError: Lengths differ, or an argument is not numeric.
+        ShapeError, TypeError: An argument is invalid.
     """
 
     def __new__(
@@ -1820,7 +1819,7 @@ class PoseReport:
 
     @property
     def damping_factor(self) -> float:
-        """Factor <= 1 on the damping of law impedance."""
+        """Factor <= 1 on the damping of law impedance; 1 under other laws."""
 
     def summary(self) -> list[str]:
         """Return sentences: strength of each axis, problems, forces after a host loss."""
@@ -1992,7 +1991,7 @@ class Controller:
 
         Raises:
             OutOfRangeError: As `step`, and for a target beyond a joint's limits by more than 0.2
-                rad or a tenth of its travel; within that margin the goals end at the limits.
+                rad, or a tenth of its travel if prismatic; up to there, goals end at the limits.
         """
 
     def step_batch(

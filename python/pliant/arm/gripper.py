@@ -42,7 +42,7 @@ class GripperConfig:
     lever: float | None = None
 
     def __post_init__(self) -> None:
-        """Raise `ConfigError` unless all attributes have valid values."""
+        """Raise `ConfigError` unless all attributes are valid."""
         if self.limit is not None and not self.limit >= 0.0:
             raise ConfigError(f"GripperConfig.limit must be at least 0 N·m, got {self.limit!r}")
         if self.lever is not None and not self.lever > 0.0:
@@ -110,7 +110,7 @@ class Gripper:
     def go(self, position: float, force: float | None = None) -> None:
         """Move to a joint position [rad; m if prismatic], clipped to the travel.
 
-        `force` is as in `close`.
+        `force` is as in `close`. Invalid values raise `ConfigError`.
         """
         low, high = sorted((self.closed, self.opened))
         position = real(position, f"{self.name}: position")

@@ -108,7 +108,7 @@ def enable(
             for group in write_groups(served):
                 rows = [commands[id(device)] for device in group.devices]
                 port.send(group, *_encoded(group, rows))
-        # Send few requests from here on: servos may already hold the arm without a control loop.
+        # Send few requests from here on: servos may already hold the arm without a loop.
         found = _images(devices, ports, *_COMMANDED, "torque_enable", "position", "speed")
         switched_by_goal: dict[Port, list[Device]] = {}
         for device in devices:

@@ -135,7 +135,7 @@ class ServoSpec:
     voltage: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
-        """Raise `ConfigError` unless all attributes have valid values."""
+        """Raise `ConfigError` unless all attributes are valid."""
         row = self.row
         highest = 253 if row.family.protocol == "p1" else 252
         ids = [self.id] if self.secondary is None else [self.id, self.secondary[0]]

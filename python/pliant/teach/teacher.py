@@ -66,6 +66,8 @@ class Teacher:
         Args:
             state: State of the arm in this tick.
             dt: Time since the last step [s]; None: 1/rate.
+
+        Raises the exceptions of `HandGuiding.step`.
         """
         command = self._guiding.step(state.q, dt=dt)
         if self.recording:
