@@ -1225,7 +1225,7 @@ class TorqueLimits:
         stiffening_time: Time in which a limit may rise from zero to its ceiling [s]; 0: no bound.
         max_host_loss_force: Largest force on a hand along the task's translations after a host loss
             [N]; None: no bound. To keep it, a step reduces first the margin of the limits, then the
-            part beyond the arm's weight. It takes 0.3 ms longer, or 1 ms if it reduces limits.
+            part beyond the arm's weight. It takes about 0.3 ms longer, 1 ms if it reduces limits.
 
     Raises:
         ConfigError, OutOfRangeError, ShapeError: A field is unknown or invalid.
@@ -1446,7 +1446,10 @@ class Settings:
 
     @classmethod
     def door(cls, **overrides: Unpack[_SettingsFields]) -> Settings:
-        """Preset for doors: y, yaw follow the handle (`adaptation` 0.999); weak posture control."""
+        """Preset for doors: y and yaw follow the handle (`adaptation` 0.999).
+
+        The posture task is weak.
+        """
 
     @classmethod
     def drawer(
@@ -1492,7 +1495,7 @@ class Settings:
 
     @classmethod
     def hand_guiding(cls, **overrides: Unpack[_SettingsFields]) -> Settings:
-        """Preset for hand guiding: all axes yield (`adaptation` 0.95); weak posture control."""
+        """Preset for hand guiding: all axes yield (`adaptation` 0.95), with a weak posture task."""
 
     def raise_soft(
         self, model: Model, path: ArrayLike | None = None, *, servos: Servos | None = None
@@ -1510,7 +1513,7 @@ class Settings:
             servos: Servo parameters; None: those of the model.
 
         Raises:
-            ShapeError, OutOfRangeError, ConfigError: `path` is invalid, or as `Controller`.
+            ShapeError, OutOfRangeError, ConfigError: An argument is invalid.
         """
 
     def replace(self, **changes: Unpack[_SettingsFields]) -> Settings:
@@ -1552,7 +1555,7 @@ class Settings:
 
 @final
 class Command:
-    """Goals and limits of the servos for one tick. A step changes its arrays only if it is `out`.
+    """Goals and limits of the servos for one tick; constant unless passed to a step as `out`.
 
     Args:
         goal: Goals of the position servos (n,) [rad].
@@ -2047,7 +2050,7 @@ class Controller:
         """Return an initial state of `count` arms for `step_batch`.
 
         The first step of an arm resets it to its positions. A state has 8 (52 + 7 n) bytes per arm:
-        0.81 GB for a million arms of seven joints; `OutOfRangeError` if the memory has less room.
+        0.81 GB for a million arms of seven joints. `OutOfRangeError`: The memory is too small.
         """
 
     def reset(self, q: ArrayLike) -> None:
@@ -3081,7 +3084,7 @@ class HandGuidingLaw:
         damping: Sum of viscous damping, derivative gain and back-EMF (n,) [N·m s/rad].
         stiffness_error: Factor by which k_p may be wrong in either direction, at least 1.
         delay: Time from the reading to the arrival of the goal [s], at most 0.5.
-        torque_share: Torque limit in addition to the gravity torque, as a share of the usable one.
+        torque_share: Torque limit beyond what gravity requires, as a share of the usable torque.
         payload_moments: Mass [kg] and mass times centre of mass in the tool frame [kg m] (4,) of a
             payload in addition to that of the model.
     """
@@ -3361,7 +3364,8 @@ class ServoCodec:
         """Return False if a servo's registers show that torque is off, or another command.
 
         The result is True if `data` does not contain the register Torque Enable. Otherwise it is
-        True if that register is 1 and `data` contains the first packet of the last command.
+        True if that register is 1 and `data` contains the first packet of the last command; False
+        if that packet is unknown.
 
         Args:
             servo: Index of the servo.
