@@ -217,7 +217,7 @@ class Arm:
         try:
             if self._signals is not None:
                 self._signals.install()
-            # Twice: a signal could end the first call before it holds signals back.
+            # Register twice: a signal could end the first call before it holds signals back.
             atexit.register(self._at_exit)
             atexit.register(self._at_exit)
             self._start_guardian()
@@ -401,7 +401,7 @@ class Arm:
                 on_tick=on_tick,
                 on_detour=on_detour,
             )
-            # Torque off may take longer on a bad line.
+            # No timeout: torque off may be slow on a bad line.
             supervisor.heartbeat[1] = 0.0
             if down:
                 with contextlib.suppress(ServoError):

@@ -40,7 +40,7 @@ class Budget:
         self.thermal_model((), ())
 
     def thermal_model(self, max_torque: ArrayLike, stall_current: ArrayLike | None) -> ThermalModel:
-        """Return a thermal model of N servos, which starts cold.
+        """Return a thermal model of N cold servos.
 
         Args:
             max_torque: Usable torques (N,) [N·m].
