@@ -13,11 +13,11 @@ const MAX_GOAL_EXCESS: f64 = 1.0;
 /// Command for the n joints of the chain, and the state of the arm for which it is limited.
 #[derive(Debug, Clone, Copy)]
 pub struct LimiterInput<'a> {
-    /// Requested goals (n) [rad].
+    /// Requested goal of each joint of the chain [rad].
     pub goal: &'a [f64],
-    /// Requested torque limits (n) [N·m].
+    /// Requested torque limit of each joint of the chain [N·m].
     pub torque_limit: &'a [f64],
-    /// Torques that hold the arm against gravity (n) [N·m].
+    /// Torque of each joint of the chain that holds the arm against gravity [N·m].
     pub gravity: &'a [f64],
     /// Position of each of the N joints [rad]; NaN where unknown.
     pub position: &'a [f64],
@@ -25,7 +25,7 @@ pub struct LimiterInput<'a> {
     pub off_chain: &'a [[f64; 2]],
     /// Progress of the ramp from holding torque to usable torque, 0 to 1.
     pub ramp: f64,
-    /// Lower bound of the ramp (n) [N·m].
+    /// Lower bound of the ramp for each joint of the chain [N·m].
     pub ramp_start: &'a [f64],
     /// True if goals may lie beyond the position limits by the lead of the usable torque, to exert a force; false: by
     /// the lead that the gravity torque needs.
@@ -50,9 +50,10 @@ pub struct CommandLimiter {
     off_chain: Vec<usize>,
     lower: Vec<f64>,
     upper: Vec<f64>,
-    /// Friction of the joints of the chain (n) [N·m].
+    /// Friction of each joint of the chain [N·m].
     friction: Vec<f64>,
-    /// `max_torque` of the servo table for the chain (n) [N·m], without later reductions; determines the torque margin.
+    /// `max_torque` of the servo table for each joint of the chain [N·m], without later reductions; it determines the
+    /// torque margin.
     rated_torque: Vec<f64>,
     kp: Vec<f64>,
     max_torque: Vec<f64>,

@@ -145,7 +145,7 @@ impl JointFollower {
         Ok(())
     }
 
-    /// Starts again from joint positions q (n) [rad], at rest.
+    /// Starts again from the joint positions q [rad], at rest.
     ///
     /// # Errors
     /// [`Error::Shape`] if q does not have n entries; [`Error::OutOfRange`] if one is not finite.
@@ -155,8 +155,8 @@ impl JointFollower {
         Ok(())
     }
 
-    /// Computes goals and torque limits for measured positions q (n) and targets (n) [rad]; `dt` is the time since the
-    /// last step [s]. Targets are clipped to the position limits.
+    /// Computes goals and torque limits for measured positions q and targets of the n joints [rad]; `dt` is the time
+    /// since the last step [s]. Targets are clipped to the position limits.
     ///
     /// # Errors
     /// [`Error::Shape`] for a vector without n entries; [`Error::OutOfRange`] for a number that is not finite, or `dt`

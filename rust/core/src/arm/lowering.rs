@@ -9,10 +9,10 @@
 //! So every joint moves in the direction in which its real load pulls it, until the object on which the arm comes to
 //! rest carries the weight. The tool does not rise above its height at the start, and approaches it slowly.
 //! `ℓ* = ∓ (2 τ_f + d |dq|) / k_p` lets a joint press downward with little more than its own friction and damping. The
-//! factor r keeps the speed v of every point of the arm below the allowed speed, and the force of its impact on an object
-//! of stiffness k, `v √(k m)`, below the allowed force; m is the effective mass of the point along its path. u is first
-//! limited to what each joint alone may do. r decreases further if a point is measured above 110 % of its allowed speed,
-//! and is 0 above 150 %.
+//! factor r keeps the speed v of every point of the arm below the allowed speed, and the force of its impact on an
+//! object of stiffness k, `v √(k m)`, below the allowed force; m is the effective mass of the point along its path. u
+//! is first limited to what each joint alone may do. r decreases further if a point is measured above 110 % of its
+//! allowed speed, and is 0 above 150 %.
 //!
 //! In the end the torque limits fall to zero. They rise again while the arm slides, and torque may be switched off only
 //! after the arm has stood still with limits of zero.
@@ -158,7 +158,7 @@ pub struct LoweringStart<'a> {
     pub speed: f64,
 }
 
-/// Returns the torque margin of each joint beyond its gravity torque (n) [N·m]: the largest of 10 % of the usable
+/// Returns the torque margin of each joint beyond its gravity torque [N·m]: the largest of 10 % of the usable
 /// torque, twice the friction, and 30 % of the gravity torque.
 pub fn torque_margin(servos: &Servos, gravity: &[f64]) -> Vec<f64> {
     let rows = servos.max_torque.iter().zip(&servos.friction).zip(gravity);
@@ -390,10 +390,10 @@ impl Lowering {
 
     /// Computes goals, torque limits and speed limits of one tick; `None` if torque can be switched off.
     ///
-    /// `q` (n) [rad] are the last positions, `fresh` (n) marks those that are new; NaN and |q| > 10⁶ rad count as lost.
-    /// `dt` is the time since the last tick [s], `age` the age of the goals that were in force when q was sampled [s].
-    /// Speed limits [rad/s] are finite only while no positions arrive, so that a joint that missed packets does not
-    /// jump to a later goal.
+    /// `q` are the last positions of the n joints [rad], `fresh` marks those that are new; NaN and |q| > 10⁶ rad count
+    /// as lost. `dt` is the time since the last tick [s], `age` the age of the goals that were in force when q was
+    /// sampled [s]. Speed limits [rad/s] are finite only while no positions arrive, so that a joint that missed packets
+    /// does not jump to a later goal.
     ///
     /// # Errors
     /// [`Error::Shape`] if `q` or `fresh` does not have n entries; the state is then unchanged.

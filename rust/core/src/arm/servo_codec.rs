@@ -117,9 +117,9 @@ pub struct ServoReading {
 /// Last command that was sent to a servo.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct SentCommand {
-    /// Values of the goal register, `None` before the first command, and of the limit register.
+    /// Value of the goal register; `None` before the first command.
     pub goal: Option<i64>,
-    /// See `goal`.
+    /// Value of the limit register.
     pub limit: i64,
     /// Number of commands so far.
     pub count: u32,
@@ -404,7 +404,7 @@ impl ServoCodec {
         (&self.joints, &self.ok)
     }
 
-    /// Checks a command for all joints: goals (n) [rad], torque limits (n) [N·m] and largest speeds (n) [rad/s].
+    /// Checks a command for all n joints: goals [rad], torque limits [N·m] and largest speeds [rad/s].
     ///
     /// # Errors
     /// [`Error::OutOfRange`] if a goal or limit is not finite, a speed is NaN, or a limit or speed is negative.
