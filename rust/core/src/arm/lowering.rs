@@ -248,7 +248,7 @@ pub struct Lowering {
     lead: JointVec,
     /// |lead| at the last update of the limits [rad].
     lead_size: JointVec,
-    /// Smallest recent |lead| [rad]; it follows a larger |lead| at a distance of two [`SINKING`].
+    /// Smallest recent |lead| [rad]; it rises with |lead|, of which it is at most two [`SINKING`] short.
     least_lead: JointVec,
     /// Measured minus modelled lead [rad]; added to the modelled lead while no positions arrive.
     unmodelled_lead: JointVec,
