@@ -1,4 +1,4 @@
-"""Compiled part of `pliant`. Shapes: n joints, k axes of the task, N configurations."""
+"""Compiled part of `pliant`. Shapes: n joints of the chain, k task axes, N rows of a batch."""
 
 import sys
 from collections.abc import Mapping, Sequence
@@ -257,6 +257,8 @@ def as_pose(pose: _PoseLike, /) -> Pose:
     Raises:
         ShapeError: `pose` has another shape. Seven numbers are rejected, since the order of a
             quaternion is ambiguous.
+        ConfigError, OutOfRangeError: As for `Pose`.
+        TypeError: `pose` is none of these.
     """
 
 @final
@@ -266,6 +268,9 @@ class Payload:
     Args:
         mass: Mass [kg].
         com: Centre of mass (3,) in the tool frame [m].
+
+    Raises:
+        OutOfRangeError, ShapeError, ConfigError: An argument is invalid.
     """
 
     def __new__(cls, mass: float, com: ArrayLike = (0.0, 0.0, 0.0)) -> Payload: ...
@@ -432,7 +437,7 @@ class IkResult:
 
 @final
 class Model:
-    """One kinematic chain with all bodies that it carries. Immutable; controllers share it.
+    """One kinematic chain with all bodies that it carries. Immutable; controllers can share it.
 
     Create it with `Model.from_urdf`, `Model.from_urdf_str` or a function of `pliant.robots`. A
     pickle contains the URDF text and the options.
@@ -595,16 +600,17 @@ class Model:
         self, q: ArrayLike, reference: _Reference = "world_aligned", *, out: tuple[_Array, _Array]
     ) -> tuple[_Array, _Array]: ...
     def forward_kinematics(self, q: ArrayLike) -> _Array:
-        """Compute the pose `base_from_tool` (4, 4) at joint positions `q` (n,) [rad or m]."""
+        """Compute the pose `base_from_tool` (4, 4) at `q` (n,) [rad or m]; see `kinematics`."""
 
     def jacobian(self, q: ArrayLike, reference: _Reference = "world_aligned") -> _Array:
         """Compute the Jacobian (6, n) of the tool at `q` (n,) [rad or m], linear rows first.
 
         The rows refer to the axes of the base, or with ``reference="local"`` to those of the tool.
+        See `kinematics`.
         """
 
     def gravity(self, q: ArrayLike) -> _Array:
-        """Compute the torques (n,) [N·m or N] that hold the arm at rest at `q` (n,) [rad or m]."""
+        """Compute the torques (n,) [N·m or N] that hold the arm at rest at q; see `kinematics`."""
 
     def inverse_kinematics(
         self,
@@ -654,8 +660,8 @@ class Model:
         `Controller.step_joints` makes the same check.
 
         Raises:
-            OutOfRangeError: A joint is beyond its limits by more than 0.2 rad or a tenth of its
-                travel.
+            OutOfRangeError: A joint is beyond its limits by more than 0.2 rad, or a tenth of its
+                travel if prismatic.
             ShapeError, TypeError: `q` is not n numbers.
         """
 
@@ -743,8 +749,7 @@ class Servos:
         stiffness_known: True if `kp` is known within 10 %.
 
     Raises:
-        ConfigError, OutOfRangeError, ShapeError: A field is missing or unknown, or its value is
-            invalid.
+        ConfigError, OutOfRangeError, ShapeError: A field is missing, unknown or invalid.
     """
 
     def __new__(
@@ -1051,7 +1056,7 @@ class _TrackingFields(TypedDict, total=False):
 class Tracking:
     """Tracking of the target by the stiff axes. Frozen; `replace` makes variants.
 
-    Fields that are not given keep the values of the preset or of the replaced settings.
+    Fields not given keep the values of the preset or of the replaced settings.
 
     Args:
         gain: Gain K_x [1/s], eq. (5) of the paper: a number, or one per axis of the task.
@@ -1059,14 +1064,14 @@ class Tracking:
             None: derived from the arm.
         velocity_filter: Time constant of the velocity filter [s].
         goal_slew: Speed limit of the goals [rad/s]; None: no limit. If it acts, the part of the
-            goals that carries gravity changes first; with what is left of the limit, all goals
-            cover the same share of their remaining distances.
+            goals that holds the arm against gravity moves first; within the rest of the limit, all
+            goals move by the same share of their remaining distances.
         joint_speed: Joint speed limits (n,) [rad/s]; None: those of the model.
         integrate: Rate of the integral action [1/s]: the lead goal - q of the stiff axes
             accumulates in the goal; 0: no integral action.
 
     Raises:
-        ConfigError, OutOfRangeError, ShapeError: A field is unknown, or its value is invalid.
+        ConfigError, OutOfRangeError, ShapeError: A field is unknown or invalid.
     """
 
     def __new__(
@@ -1111,11 +1116,11 @@ class _NullSpaceFields(TypedDict, total=False):
 class NullSpace:
     """Motion of the joints that leaves the task unchanged. Frozen; `replace` makes variants.
 
-    Fields that are not given keep the values of the preset or of the replaced settings.
+    Fields not given keep the values of the preset or of the replaced settings.
 
     Args:
         posture: Rest posture (n,) [rad]; None: q at reset.
-        gain: Gain alpha of the null-space motion [1/s]; None: `Tracking.gain`.
+        gain: Gain alpha of the null-space motion [1/s]; None: the largest `Tracking.gain`.
         max_torque: Largest torque of the null-space motion, summed over all joints [N·m]; None: 2
             if the arm is redundant for the task, else 0.
         stiffness: Law impedance: stiffness of the null-space motion [N·m/rad] instead of `gain`;
@@ -1123,10 +1128,10 @@ class NullSpace:
         max_speed: Speed limit of the null-space motion [rad/s]; None: no limit.
         limit_avoidance: Weight of the joint-limit cost ``sum(((q - mid) / half_range)^2) / 2``.
         projector: `"exact"`: orthogonal, faded close to singular poses; `"paper"`: I - J+ J with
-            the damped J+, as printed.
+            the damped J+, eq. (4) of the paper.
 
     Raises:
-        ConfigError, OutOfRangeError, ShapeError: A field is unknown, or its value is invalid.
+        ConfigError, OutOfRangeError, ShapeError: A field is unknown or invalid.
     """
 
     def __new__(
@@ -1170,7 +1175,7 @@ class _CompensationFields(TypedDict, total=False):
 class Compensation:
     """Shares of friction, damping and delay that are compensated, 0 to 1. Frozen.
 
-    Fields that are not given keep the values of the preset or of the replaced settings.
+    Fields not given keep the values of the preset or of the replaced settings.
 
     Args:
         friction: Share of the friction that the feed-forward compensates.
@@ -1178,7 +1183,7 @@ class Compensation:
         delay: Share of the delay that the prediction compensates.
 
     Raises:
-        ConfigError, OutOfRangeError, ShapeError: A field is unknown, or its value is invalid.
+        ConfigError, OutOfRangeError, ShapeError: A field is unknown or invalid.
     """
 
     def __new__(
@@ -1211,7 +1216,7 @@ class _TorqueLimitsFields(TypedDict, total=False):
 class TorqueLimits:
     """Joint torque limits sent to the servos. Frozen; `replace` makes variants.
 
-    Fields that are not given keep the values of the preset or of the replaced settings.
+    Fields not given keep the values of the preset or of the replaced settings.
 
     Args:
         margin: Margin of the limits over the demand, as a share of the usable torque; it is at
@@ -1219,11 +1224,11 @@ class TorqueLimits:
         floor: Minimum of the torque limits (n,) [N·m]; None: the servos' friction.
         stiffening_time: Time in which a limit may rise from zero to its ceiling [s]; 0: no bound.
         max_host_loss_force: Largest force on a hand along the task's translations after a host loss
-            [N]; None: no bound. To keep it, the limits lose first their margin, then what exceeds
-            the arm's weight. Takes about 0.3 ms per step, 1 ms when limits are reduced.
+            [N]; None: no bound. To keep it, a step reduces first the margin of the limits, then the
+            part beyond the arm's weight. It takes about 0.3 ms longer, 1 ms if it reduces limits.
 
     Raises:
-        ConfigError, OutOfRangeError, ShapeError: A field is unknown, or its value is invalid.
+        ConfigError, OutOfRangeError, ShapeError: A field is unknown or invalid.
     """
 
     def __new__(
@@ -1290,11 +1295,11 @@ class PaperOptions:
             the parameters of its sides, as a share of `soft_until`; None: 0.1, law paper 0.
         raw_deviation: Compute the compliance from the raw instead of the adapted deviation.
         budget_on_goal: Law paper: clamp the step of each axis to its budget.
-        lead_limit: Law paper: largest lead goal - q [rad]; None: the lead that the torque limit
-            can use; inf: no limit.
+        lead_limit: Law paper: largest lead goal - q [rad]; None: slightly more than the lead at
+            which the servo reaches its torque limit; inf: no limit.
 
     Raises:
-        ConfigError, OutOfRangeError, ShapeError: A field is unknown, or its value is invalid.
+        ConfigError, OutOfRangeError, ShapeError: A field is unknown or invalid.
     """
 
     def __new__(
@@ -1373,7 +1378,7 @@ class Settings:
 
     In a group such as `tracking`, fields that are not given keep the default, or the value of the
     preset or of the replaced settings: ``Settings.door(null_space=NullSpace(max_torque=1.0))``
-    keeps the preset's `null_space.gain`.
+    keeps the preset's `null_space.gain`. Presets and `replace` raise the errors of the class.
 
     Args:
         task: Controlled axes and their frame: a `Task`, or its axis key.
@@ -1441,7 +1446,10 @@ class Settings:
 
     @classmethod
     def door(cls, **overrides: Unpack[_SettingsFields]) -> Settings:
-        """Preset for doors: y and yaw follow the handle (`adaptation` 0.999), weak posture task."""
+        """Preset for doors: y and yaw follow the handle (`adaptation` 0.999).
+
+        The posture task is weak.
+        """
 
     @classmethod
     def drawer(
@@ -1487,22 +1495,25 @@ class Settings:
 
     @classmethod
     def hand_guiding(cls, **overrides: Unpack[_SettingsFields]) -> Settings:
-        """Preset for guiding by hand: all axes yield (`adaptation` 0.95); weaker posture task."""
+        """Preset for hand guiding: all axes yield (`adaptation` 0.95), with a weak posture task."""
 
     def raise_soft(
         self, model: Model, path: ArrayLike | None = None, *, servos: Servos | None = None
     ) -> Settings:
         """Return settings with `soft` of yielding axes raised to three times their static friction.
 
-        At this strength, the error on a sinusoid is below a tenth of its amplitude if friction is
-        known within 30 % and the delay is one tick each way. A softer axis may not start or
-        reverse. A larger `soft` is kept; `firm` and `hold` are raised to at least `soft`.
+        At this strength, the tracking error of a sinusoid is below a tenth of its amplitude if
+        friction is known within 30 % and the delay is one tick each way. A softer axis may not
+        start or reverse. A larger `soft` is kept; `firm` and `hold` are raised to at least `soft`.
 
         Args:
             model: The arm.
             path: Postures (n,) or (N, n) [rad], of which the largest friction is used. None: the
                 median friction over the joint space.
-            servos: None: those of the model.
+            servos: Servo parameters; None: those of the model.
+
+        Raises:
+            ShapeError, OutOfRangeError, ConfigError: An argument is invalid.
         """
 
     def replace(self, **changes: Unpack[_SettingsFields]) -> Settings:
@@ -1544,12 +1555,15 @@ class Settings:
 
 @final
 class Command:
-    """Goals and limits of the servos for one tick. The arrays of a stored command never change.
+    """Goals and limits of the servos for one tick; constant unless passed to a step as `out`.
 
     Args:
         goal: Goals of the position servos (n,) [rad].
-        torque_limit: Magnitude of the torque that each servo may use (n,) [N·m].
+        torque_limit: Largest torque of each servo in either direction (n,) [N·m].
         speed_limit: Speed for the servos' speed register (n,) [rad/s]; None: no limit.
+
+    Raises:
+        ShapeError, TypeError: An argument is invalid.
     """
 
     def __new__(
@@ -1562,7 +1576,7 @@ class Command:
 
     @property
     def torque_limit(self) -> _Array:
-        """Magnitude of the torque that each servo may use (n,) [N·m]."""
+        """Largest torque of each servo in either direction (n,) [N·m]."""
 
     @property
     def speed_limit(self) -> _Array:
@@ -1583,7 +1597,7 @@ class BatchState:
 
     Args:
         n: Number of joints of an arm.
-        numbers: Contents, as in a pickle.
+        numbers: Contents, as in a pickle: 52 + 7 n numbers per arm.
     """
 
     def __new__(cls, n: int, numbers: ArrayLike) -> BatchState: ...
@@ -1752,7 +1766,7 @@ class AxisReport:
 class PoseReport:
     """Capabilities of the arm in one pose under the present settings.
 
-    Arrays have one row per joint (n). `str` returns a table and the sentences of `summary`.
+    Arrays have one row per joint. `str` returns a table and the sentences of `summary`.
     """
 
     @property
@@ -1803,12 +1817,12 @@ class PoseReport:
     def gain_factor(self) -> float:
         """Factor <= 1 on the gain K_x, required by the delay.
 
-        Under law impedance the factor is on the stiffness; delay and pose require it.
+        Under law impedance, it is a factor on the stiffness, required by delay and pose.
         """
 
     @property
     def damping_factor(self) -> float:
-        """Factor <= 1 on the damping of law impedance."""
+        """Factor <= 1 on the damping of law impedance; 1 under other laws."""
 
     def summary(self) -> list[str]:
         """Return sentences: strength of each axis, problems, forces after a host loss."""
@@ -1980,7 +1994,7 @@ class Controller:
 
         Raises:
             OutOfRangeError: As `step`, and for a target beyond a joint's limits by more than 0.2
-                rad or a tenth of its travel; within that margin the goals end at the limits.
+                rad, or a tenth of its travel if prismatic; up to there, goals end at the limits.
         """
 
     def step_batch(
@@ -2015,7 +2029,8 @@ class Controller:
                 from 0 to the axis' `hold`; NaN for axes that do not yield. A row equals `step` with
                 settings whose yielding axes have these values as `soft` and `firm`. None: the caps
                 of the settings.
-            adaptation: Adaptation (N, 6) of these axes in each row, likewise.
+            adaptation: Adaptation eta (N, 6) of these axes in each row; NaN for axes that do not
+                yield. None: that of the settings.
             invalid: Handling of rows with an invalid q, target, dq, cap or adaptation:
                 ``"raise"``: an error names the first one before any arm is stepped; ``"nan"``:
                 their command is NaN, their state does not change, and the others are stepped.
@@ -2035,13 +2050,16 @@ class Controller:
         """Return an initial state of `count` arms for `step_batch`.
 
         The first step of an arm resets it to its positions. A state has 8 (52 + 7 n) bytes per arm:
-        0.81 GB for a million arms of seven joints.
+        0.81 GB for a million arms of seven joints. `OutOfRangeError`: The memory is too small.
         """
 
     def reset(self, q: ArrayLike) -> None:
         """Reset the state to an arm at rest at `q` (n,) [rad]: the goals start there.
 
         `q` becomes the rest posture unless the settings have one. A captured gravity offset stays.
+
+        Raises:
+            ShapeError, OutOfRangeError: `q` is invalid; nothing has changed.
         """
 
     def update(self, settings: Settings) -> None:
@@ -2067,7 +2085,7 @@ class Controller:
         """Set the gravity vector (3,) [m/s^2] in base axes, for a base that tilts.
 
         Raises:
-            OutOfRangeError: A component is beyond 100 m/s^2.
+            OutOfRangeError, ShapeError: A component is beyond 100 m/s^2, or there are not three.
         """
 
     def set_delay(self, delay: float) -> None:
@@ -2078,9 +2096,9 @@ class Controller:
         """
 
     def capture_gravity(self, q: ArrayLike, goal: ArrayLike) -> _Array:
-        """Measure the stiffness for the gravity offset on an arm that its goals hold still.
+        """Measure the stiffness for the gravity offset while the goals hold the arm still.
 
-        Requires `Tracking.integrate` above 0, so that the arm is at its target.
+        Set `Tracking.integrate` above 0 before, so that the arm has come to rest at its target.
 
         Args:
             q: Joint positions (n,) [rad].
@@ -2090,7 +2108,8 @@ class Controller:
             Stiffness k_g (n,) [N·m/rad], used for the gravity offset from now on.
 
         Raises:
-            ConfigError: `kp` is unknown.
+            ConfigError: There are no servo parameters.
+            ShapeError, OutOfRangeError: `q` or `goal` is invalid.
         """
 
     def report(self, q: ArrayLike | None = None) -> PoseReport:
@@ -2102,6 +2121,7 @@ class Controller:
 
         Raises:
             ConfigError: `q` is None before the first step.
+            ShapeError, OutOfRangeError: `q` is invalid.
         """
 
     def check(
@@ -2250,7 +2270,7 @@ class Diagnostics:
     def gain_factor(self) -> float:
         """Factor <= 1 on the gain K_x, required by the delay.
 
-        Under law impedance the factor is on the stiffness; delay and pose require it.
+        Under law impedance, it is a factor on the stiffness, required by delay and pose.
         """
 
     @property
@@ -2346,8 +2366,8 @@ class WrenchEstimate:
 class ContactEstimator:
     """Estimates the external wrench at the tool from joint positions and commands.
 
-    The surroundings exert the residual r of the torque balance, with gravity g, friction t_f,
-    damping d and the torque of the servos:
+    The external joint torques r are the residual of the torque balance, with gravity g, mass matrix
+    M, friction t_f that saturates at the speed v0, damping d and the torque of the servos:
     `J' F = r = g + M q'' + t_f tanh(v / v0) + d v - clip(k_p (goal - q) - k_v v, +-limit)`. With an
     error bound u_i on each r_i, the estimate is `F = G r` with `G = (J W J' + P)^-1 J W`,
     `W = diag(1/u^2)`, `P = diag(1/max_wrench^2)`, and its bound `|G| u + |G J' - I| max_wrench`: a
@@ -2361,7 +2381,7 @@ class ContactEstimator:
         axes: Axes of the task frame to estimate; the wrench along the others is assumed zero. None:
             all six with six joints or more, else those of the task.
         filter: Time constant of the low-pass [s]; 0: no filter.
-        friction_error: Error of friction and damping; at rest, dry friction is unknown anyway.
+        friction_error: Error of friction and damping; at rest, dry friction counts as unknown.
         kp_error: Error of k_p and torque limits; None: 0.1 if `stiffness_known`, else 0.25.
         gravity_error: Error of the gravity torques.
         payload_error: Possible unknown mass at the tool [kg].
@@ -2462,7 +2482,11 @@ class ContactEstimator:
         """
 
     def uncertainty_at(self, q: ArrayLike) -> _Array:
-        """Compute the error bound (6,) [N, N·m] for the arm at rest at `q` (n,) [rad]."""
+        """Compute the error bound (6,) [N, N·m] for the arm at rest at `q` (n,) [rad].
+
+        Raises:
+            ShapeError, OutOfRangeError: `q` is invalid.
+        """
 
     def typical_uncertainty(self) -> _Array:
         """Compute the median of `uncertainty_at` over 64 postures (6,) [N, N·m]; takes 1 ms."""
@@ -2609,10 +2633,10 @@ def check_path(
     Args:
         model: The arm.
         settings: Settings to check.
-        path_or_pose: One posture (n,) or a path (N, n) [rad]; or a pose `base_from_tool`: a `Pose`,
-            a (4, 4) matrix with last row 0 0 0 1, or an object that exposes one as `homogeneous`,
-            `as_matrix`, `matrix` or `A`. For a task without rotations also a position (3,) [m]; for
-            an arm of three joints, (3,) is read as a posture.
+        path_or_pose: One posture (n,) or a path (N, n) [rad]; or a pose `base_from_tool`, as a
+            (4, 4) matrix with last row 0 0 0 1 or another form that `as_pose` accepts. For a task
+            without rotations also a position (3,) [m]; for an arm of three joints, (3,) is read as
+            a posture.
         servos: Servos of the joints; None: those of the model.
         q0: Joint positions (n,) [rad] at which the search for a pose starts; None: mid-range.
 
@@ -2701,10 +2725,16 @@ def adapt_target(
         target: Target pose of the tool.
         eta: Adaptation, 0 to 1.
         compliant: Axis key such as ``"y yaw"``, or six flags.
+
+    Raises:
+        ShapeError, OutOfRangeError, ConfigError, TypeError: An argument is invalid.
     """
 
 def pose_error(actual: _PoseLike, target: _PoseLike) -> _Array:
-    """Compute target - actual (6,) in base axes: translation [m], then rotation vector [rad]."""
+    """Compute target - actual (6,) in base axes: translation [m], then rotation vector [rad].
+
+    Raises the exceptions of `as_pose`.
+    """
 
 @final
 class ArmPoints:
@@ -2741,7 +2771,7 @@ class Lowering:
     lead goal - q, so the arm descends without an exact stiffness or payload. Phases:
 
     - `rest`: move toward the rest pose, if there is one;
-    - `down`: descend until no joint carries a load;
+    - `down`: descend until no joint holds a load;
     - `ramp`: reduce the torque limits to zero, and wait until the arm stands still.
 
     If positions no longer arrive, positions computed with the model replace them. See
@@ -2758,8 +2788,9 @@ class Lowering:
         speed: Largest speed of any point of the arm [m/s].
 
     Raises:
-        ShapeError: A vector does not have n entries. OutOfRangeError: A number is not finite, or
-            `speed` is not above 0. ConfigError: The servos do not fit the model.
+        ShapeError: A vector does not have n entries.
+        OutOfRangeError: A number is not finite, or `speed` is not above 0.
+        ConfigError: The servos do not fit the model.
     """
 
     def __new__(
@@ -2846,8 +2877,8 @@ if sys.platform != "win32":
                 timeout: Longest silence before the replies and within them [s].
 
             Returns:
-                Pairs of data and status byte, one per servo. If a servo has not sent a valid packet
-                of the expected size, the bytes received until then instead.
+                Pairs of data and status byte, one per servo; or the bytes received so far, if a
+                servo has not sent a valid packet of the expected size.
 
             Raises:
                 OSError: The port has vanished, or is closed.
@@ -2883,13 +2914,12 @@ if sys.platform != "win32":
                 timeout: Longest silence [s].
                 time: Time of the request [s].
                 longest: Age of the last reading above which a reading is not stored [s].
-                usual: True: return no bytes if no reading needs attention: if the block contains
-                    the register Torque Enable, torque of all servos is then on, and the first
-                    packet of their last command is in their registers.
+                usual: True: return readings instead of bytes if no reading needs attention (see
+                    `ServoCodec.decode`) and `ServoCodec.has_command` is True for all servos.
 
             Returns:
                 The results of `SerialPort.exchange` and `ServoCodec.decode`. Nothing is stored
-                unless all replies are valid. Without bytes, see `usual`: the readings of all
+                unless all replies are valid. Instead of bytes, see `usual`: the readings of all
                 joints, or None if the codec has further servos.
 
             Raises:
@@ -3032,15 +3062,16 @@ SUPPORT: Final[float]
 def torque_margin(servos: Servos, gravity: ArrayLike) -> _Array:
     """Return the margin (n,) [N·m] of torque limits that hold an arm with `gravity` (n,) [N·m].
 
-    The largest of 10 % of the usable torque, twice the friction and 30 % of the gravity torque.
+    It is the largest of 10 % of the usable torque, twice the friction and 30 % of the gravity
+    torque.
     """
 
 @final
 class HandGuidingLaw:
     """Goals that follow an arm guided by hand, so that it feels weightless.
 
-    Requires the result of the swing: a slow motion of the joints up and down before, which measures
-    friction and the lead that carries gravity. `pliant.HandGuiding` runs both.
+    Before, the caller moves the joints slowly up and down (the swing), which measures the friction
+    and the lead that holds the arm against gravity. `pliant.HandGuiding` runs swing and law.
 
     Args:
         model: The arm.
@@ -3099,10 +3130,10 @@ class JointFollower:
     """Follows joint targets of a leader arm or a policy, with the force at the tool bounded.
 
     Unlike with `Controller.step_joints`, every joint follows its own target, also near a singular
-    pose; only the torque limits make the arm soft. They carry the weight and `max_force`. The goal
-    of a blocked joint stays near it, so a released arm returns at the speed limits. Per joint, with
-    the reference r and its speed v, gravity g, friction rho, damping d including back-EMF and the
-    bounds F_a on the force along the base axes (f and limit are at most the usable torque):
+    pose; only the torque limits make the arm soft. They allow for the weight and `max_force`. The
+    goal of a blocked joint stays near it, so a released arm returns at the speed limits. Per joint,
+    with the reference r and its speed v, gravity g, friction rho, v0 = 0.1 rad/s, damping d with
+    back-EMF and the bounds F_a on the force along base axes (f, limit: at most the usable torque):
     `f = max_a F_a max(|J_a|, 0.1 m |J_wa|) + rho`, `r = clip(r moved to q_target, q -+ f / k_p)`,
     `goal = r + (g + 0.8 d v + 0.8 rho tanh(v / v0)) / k_p`, `limit = |g| + f + 0.8 |d v|`.
 
@@ -3115,7 +3146,8 @@ class JointFollower:
         max_joint_speed: Speed limit of each joint [rad/s]; inf for none.
 
     Raises:
-        ConfigError: There is no servo table. OutOfRangeError, ShapeError: An argument is invalid.
+        ConfigError: There are no servo parameters.
+        OutOfRangeError, ShapeError: An argument is invalid.
 
     Example:
         >>> follower = pliant.teleop.JointFollower(arm.model, arm.servos, max_force=4.0)
@@ -3258,7 +3290,8 @@ class ServoCodec:
                 the torque, else 0; current of a unit [A]; limit of a unit, torque lost in the gears
                 [N·m]; largest limit and its torque [N·m]; largest speed cap; speed without load
                 [rad/s]; smallest and largest goal, largest position, turn (0: no wrap-around)
-                [counts]; 1 if goals may exceed a turn, else 0; smallest usual voltage.
+                [counts]; 1 if goals may exceed a turn, else 0; voltage register below which a
+                reading needs attention.
 
         Raises:
             ShapeError, OutOfRangeError: Not 54 numbers, or no such servo or joint.
@@ -3282,17 +3315,18 @@ class ServoCodec:
             longest: Age of the last reading above which the reading is not stored [s].
 
         Returns:
-            Place in `servos` and a value, for servos that need attention. True: status or turns are
-            not 0, voltage or temperature have changed or are unusual, or any position was accepted.
-            False: the position is implausible, and the reading was not stored. None: the last
-            reading is too old, and the reading was not stored.
+            Place in `servos` and a value, for servos that need attention. True: the reading was
+            stored; status or turns are not 0, voltage or temperature has changed, the voltage is
+            too low, or the reading is the first or follows `accept_any`. False: the position is
+            implausible, and the reading was not stored. None: the last reading is too old, and the
+            reading was not stored.
 
         Raises:
             ShapeError: The bytes do not contain the position.
         """
 
     def joints(self, read: Sequence[int]) -> JointReadings:
-        """Return the readings of all joints; `ok` is True where all servos are among `read`.
+        """Return the readings of all joints; `ok` is True if all servos of a joint are in `read`.
 
         For a joint with two servos, position and velocity are those of the first servo, time is the
         older one, load the mean and current the sum.
@@ -3327,13 +3361,15 @@ class ServoCodec:
         """
 
     def has_command(self, servo: int, data: bytes, address: int) -> bool:
-        """Return False if registers of a servo show that torque is off, or another command.
+        """Return False if a servo's registers show that torque is off, or another command.
+
+        The result is True if `data` does not contain the register Torque Enable. Otherwise it is
+        True if that register is 1 and `data` contains the first packet of the last command; False
+        if that packet is unknown.
 
         Args:
             servo: Index of the servo.
-            data: Bytes from `address` on. The result is True if they do not contain the register
-                Torque Enable, else if it is 1 and the bytes of the last command's first packet
-                follow from `data`; False if that packet is unknown.
+            data: Bytes from `address` on.
             address: Address of the first byte.
 
         Raises:
@@ -3356,16 +3392,16 @@ class ServoCodec:
     def sent(self, servo: int) -> tuple[int | None, int, int, bytes]:
         """Return the last command that was sent to a servo.
 
-        Goal and limit register as in `record_sent` (None and 0 before the first command), number of
-        commands so far, and the packet.
+        It consists of goal and limit register as in `record_sent` (None and 0 before the first
+        command), the number of commands so far, and the packet.
         """
 
     def reading(self, servo: int) -> _Array:
-        """Return the last accepted reading of a servo, 8 numbers; NaN for what was not read.
+        """Return the last accepted reading of a servo: 8 numbers, NaN if not read.
 
-        Position without wrap-around [counts], turns, time [s]; registers of voltage and
-        temperature; time of the last usual voltage [s]; number of implausible positions since, and
-        distance of the last one [rad].
+        The numbers are: position without wrap-around [counts], turns, time [s]; registers of
+        voltage and temperature; time of the last voltage that was not too low [s]; number of
+        implausible positions since, and distance of the last one [rad].
         """
 
     def accept_any(self, servo: int, position: float, turns: float, time: float) -> None:
@@ -3420,10 +3456,10 @@ class CommandLimiter:
         """Set supply voltages (n,) [V] and temperatures (n,) [deg C] of the next states."""
 
     def unreachable(self, goal: ArrayLike) -> int | None:
-        """Return the joint whose goal is so far outside its limits that its unit must be wrong.
+        """Return the index of a joint whose goal is so far outside that its unit must be wrong.
 
-        `goal` (n,) [rad]. The excess is more than 1 rad beyond the lead at full torque. None: there
-        is no such joint.
+        `goal` (n,) [rad] then exceeds the position limits by more than 1 rad plus the lead at full
+        torque. None: there is no such joint.
         """
 
     def limit(
@@ -3543,7 +3579,7 @@ class ThermalModel:
     def limit_current(self, torque: ArrayLike, least: ArrayLike, limit: ArrayLike) -> _Array:
         """Return torque limits (N,) [N·m] that keep the current within the supply.
 
-        ``least + s (limit - least)`` with the largest s in [0, 1] that the supply allows.
+        They are ``least + s (limit - least)`` with the largest s in [0, 1] that the supply allows.
 
         Args:
             torque: Expected torques without limits (N,) [N·m].

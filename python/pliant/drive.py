@@ -48,7 +48,7 @@ class ServoStatus:
         temperature: float | None = None,
         faults: tuple[str, ...] = (),
     ) -> None:
-        # The constructor of a frozen dataclass makes a call per attribute.
+        # Faster than the constructor of a frozen dataclass: one call for all.
         self.__dict__.update(name=name, voltage=voltage, temperature=temperature, faults=faults)
 
 
@@ -82,8 +82,8 @@ class Drive(Protocol):
     - `orders`: goals (N,) [rad] and torque limits (N,) [N·m] in the servos, NaN if unknown;
     - `refusing` (N,): joints that are known not to accept goals;
     - `accepts_lead`: True if `enable` has a third argument `lead`: goal minus position (N,) [rad]
-      with which joints without torque start. Without it, joints hang on their stiffness from
-      `enable` to the first `write`;
+      with which joints without torque start. Without it, joints sag by gravity torque over
+      stiffness from `enable` to the first `write`;
     - `stiffness_known` (N,): joints whose stiffness is known within 10 %, if this differs by joint;
     - `outlives_program`: True if the servos keep their torque after the end of the program, and
       another process can then drive them. Such a drive also has three methods: `closed_copy()`
@@ -129,7 +129,7 @@ class Drive(Protocol):
         """
 
     def poll_status(self) -> ServoStatus | None:
-        """Read and return the status of one servo, each call the next; None if none was read."""
+        """Read and return the status of one servo, in turn; None if no status was read."""
 
     def enable(self, goal: Array, limit: Array) -> None:
         """Switch the torque of all joints on, and check that every servo confirms it.

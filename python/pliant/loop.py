@@ -68,7 +68,7 @@ class LatenessHistogram:
         """Start with empty bins."""
         self._counts = np.zeros(BINS + 2, dtype=np.int64)
         self._largest = 0.0
-        # The bins lie in memory that is no longer in the caches when a tick begins.
+        # Collect values first: when a tick begins, the bins are no longer in the caches.
         self._unsorted: list[float] = []
 
     def add(self, late: float) -> None:
@@ -464,10 +464,10 @@ class Loop:
                         )
                 else:
                     self.missing += 1
-                    # A pause before the loop is not a silence of the joints.
+                    # Do not count a pause before the loop as silence of the joints.
                     ages = np.minimum(state.age, now - begin)
                     self._wait_no_longer_than(ages, arm.comm_timeout)
-                    # Not part of the command timeout: without a tick there is no command.
+                    # Extend the command timeout: without a tick there is no command.
                     commanded += now - before
                 before = now
                 deadline += self.period

@@ -154,10 +154,10 @@ class LowTorqueWarning:
 
     The torque limit of a joint [N·m] is too low if ``limit < 0.5 |g|`` and ``limit + τ_f < |g|``,
     with the joint's gravity torque g and dry friction τ_f [N·m]. Commands of a `Controller` are not
-    checked, because their limits carry the weight.
+    checked, because their limits allow for the weight.
 
     Attributes:
-        since: Time since which a limit is too low [s]; None: no limit is.
+        since: Time since which a limit is too low [s]; None: no limit is too low.
     """
 
     def __init__(self, model: Model, servos: Servos) -> None:
@@ -233,7 +233,7 @@ class ArmIO:
             _per_joint(drive.servos.max_torque, size),
         )
         self.thermal = budget.thermal_model(self._usable, getattr(drive, "stall_current", None))
-        # Added to the temperature of a servo that switches off below `budget.hottest` [°C].
+        # Temperature offset of servos that switch off below `budget.hottest` [°C].
         limit = _per_joint(getattr(drive, "temperature_limit", np.inf), size)
         self._extra_heat = np.maximum(budget.hottest - limit, 0.0)
         self.positions = PositionFilter(self.joints.max_speeds(model))
@@ -512,7 +512,7 @@ class ArmIO:
         try:
             limited = self._limiter.limit(goal, limit, velocity, *state, lead=lead)
         except (ShapeError, OutOfRangeError, TypeError):
-            # Raises an error that names the joint, or converts what only NumPy can.
+            # Convert other array-likes with NumPy, or raise an error that names the joint.
             goal, limit, velocity = self._check_command(goal, limit, velocity)
             limited = self._limiter.limit(goal, limit, velocity, *state, lead=lead)
         self.orders = orders

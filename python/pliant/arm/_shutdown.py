@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 PROGRESS = 1.0
 #: Minimum rate of the control loop of a descent [Hz]; a slow bus may still make it slower.
 MIN_RATE = 20.0
-#: Smallest gravity torque with which a message names a joint as carrying the arm [N·m].
+#: Smallest gravity torque with which a message names a joint as loaded [N·m].
 MIN_LOAD = 1e-3
 #: Largest length of an error text in a message [characters].
 MAX_REASON = 160
@@ -324,7 +324,7 @@ def descend(
                     "their last goal and limit; support the arm before you cut the supply"
                 ) from error
         if lowering.phase == "rest" and (names := io.unfit_joints(now)):
-            # The others would move without it, along another path, which may lead up.
+            # Without this joint, the others would move along another path, which may lead upward.
             on_detour(f"{', '.join(names)} may not follow to the rest pose")
             rest, lowering = None, resumed(lowering, None)
         order = lowering.step(io.q, ok, dt=now - before, age=io.delay(now))
@@ -378,11 +378,11 @@ def hold_position(io: ArmIO) -> None:
     """Send goals and torque limits that hold the present pose; disable the servos' watchdogs."""
     kp, gravity = np.asarray(io.servos.kp), io.gravity()
     push, need = torque_margin(io.servos, gravity), gravity / kp
-    # Keep the present lead (goal minus position) if it can carry the weight at some stiffness.
+    # Keep the present lead (goal minus position) if it can hold the weight at some stiffness.
     ends = np.sort((need / STIFFER, need * SOFTER), axis=0)
     lead = np.clip(io.goal - io.q, ends[0] - push / kp, ends[1] + push / kp)
     limit = SUPPORT * np.abs(gravity) + push
-    # Do not raise the limit of a servo that carries the weight at its torque limit: the joint
+    # Do not raise the limit of a servo that holds the weight at its torque limit: the joint
     # would move.
     full = (kp * np.abs(lead) > io.limit) & (io.limit >= np.abs(gravity))
     held = np.where(full, np.minimum(io.limit, limit), limit)

@@ -33,8 +33,8 @@ FIRST_LEAD, LARGEST_LEAD = 0.03, 0.8
 MAX_DISPLACEMENT = 0.15
 #: Ratio of measured to assumed servo stiffness, or inverse ratio, above which the user is warned.
 MISMATCH = 1.5
-#: Weight over usable torque of a joint above which torque stays off: an arm that is that much
-#: lighter than its model would be thrown upwards by servos at their full torque.
+#: Gravity torque over usable torque of a joint above which torque stays off: servos at full torque
+#: would throw an arm upward that is so much lighter than its model.
 LARGEST_WEIGHT = 2.0
 #: Largest distance of the surface of a link from the points of the arm [m].
 LINK_RADIUS = 0.03
@@ -218,13 +218,13 @@ def may_lie_on(table: float | None, points: ArmPoints, q: Array) -> bool:
 def stiffness_mismatch(io: ArmIO, leads: Array, *, is_supported: bool = False) -> str | None:
     """Return a warning about joints whose lead does not match the assumed stiffness, or None.
 
-    The lead (goal minus position) that carries a joint is gravity torque over servo stiffness. A
+    The lead (goal minus position) that holds a joint is gravity torque over servo stiffness. A
     joint is compared if its gravity torque is large against friction, and its lead large against
     the encoder step and a fiftieth of the expected lead.
 
     Args:
         io: Read access to the arm, at rest.
-        leads: Leads that carry the joints, from `transfer_weight` (n,) [rad].
+        leads: Leads that hold the joints, from `transfer_weight` (n,) [rad].
         is_supported: True if the arm may lie on an object, which carries part of its weight. Only
             leads that are too large then tell about the servos.
     """

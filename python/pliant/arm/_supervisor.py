@@ -179,8 +179,8 @@ class Supervisor:
     def supervised(self, timeout: float | None) -> Iterator[Callable[[], None]]:
         """Run a watchdog thread that calls `leave` after `timeout` [s] without access to the drive.
 
-        The context yields a `check` that also rejects a context that has begun since. With
-        `timeout` None, no thread runs. The thread survives an exception in the context, because the
+        The context yields a function that raises as `check` does, or if another such context has
+        begun. With `timeout` None, no thread runs. The thread survives an exception, because the
         program may block before it lowers the arm. It ends with `end_supervision`, with the next
         `supervised`, or after the call of `leave`.
         """

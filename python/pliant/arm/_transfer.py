@@ -30,7 +30,7 @@ LOOP_RATE = 250.0
 SINK, RISE = 0.0003, 0.005
 #: Bounds of the estimated load at the tool [kg], and time constant of this estimate [s].
 LEAST_LOAD, LARGEST_LOAD, LOAD_TIME = 0.1, 0.5, 0.02
-#: Lower bound of the norm of the joint torques that carry 1 kg at the tool, in the estimate of the
+#: Lower bound of the norm of the joint torques that hold 1 kg at the tool, in the estimate of the
 #: load [N·m].
 MIN_WEIGHT = 0.1
 #: The observer pole is `POLE_DELAY` over the delay of the loop, at most `MAX_POLE` [1/s].
@@ -62,7 +62,7 @@ SHRINK_TIME, SHRINK_SPEED, MIN_LEAD = 0.4, 0.15, 0.002
 MIN_CHANGE, MAX_COUNT = 1e-6, 0.006
 #: Displacement above which a joint counts as sinking [rad]; two encoder steps if these are larger.
 SINKING = 0.002
-#: The lead of a sinking joint carries it at a torque of ``(1 + FOUND_SHARE) τ + FOUND_FRICTION f``,
+#: The lead of a sinking joint holds it at a torque of ``(1 + FOUND_SHARE) τ + FOUND_FRICTION f``,
 #: with the torque τ of the balance and the friction f, or at `USABLE_SHARE` of the usable torque.
 FOUND_FRICTION, FOUND_SHARE, USABLE_SHARE = 2.5, 0.1, 0.98
 #: Longest wait of the lead of a sinking joint for this torque [s], and the speed at which the lead
@@ -104,15 +104,15 @@ def transfer_weight(
         io: Read and write access to the arm, with torque on.
         points: Points of the arm, with the inertia of its rotors.
         start_q: Joint positions before torque on (n,) [rad].
-        taken: Mask (n,) of joints whose present goals and limits already carry them.
+        taken: Mask (n,) of joints whose present goals and limits already hold them.
         rate: Rate of the arm's own loops [Hz]; the transfer uses at least `LOOP_RATE`.
 
     Returns:
-        Leads that carry the joints (n,) [rad]; NaN for joints that rest on an object.
+        Leads that hold the joints (n,) [rad]; NaN for joints that rest on an object.
 
     Raises:
-        ServoTimeoutError: A joint was silent for 0.5 s; the arm was sent what holds it at rest
-            meanwhile.
+        ServoTimeoutError: A joint was silent for 0.5 s; meanwhile the arm got goals and limits that
+            hold it at rest.
     """
     return _WeightTransfer(io, points, start_q, taken, rate).run()
 
@@ -185,8 +185,8 @@ class _WeightTransfer:
 
     with the model's weight w and inertia M, the displacement x from the first position, its speed v
     and the disturbance d of a `_DisturbanceObserver`. Until the tool moves, τ is w. When the arm
-    stands still, τ carries it with its load. Then the leads shrink: a joint begins to sink at the
-    lead that just carries it. A joint that does not sink rests on an object. Finally, limits get
+    stands still, τ holds it with its load. Then the leads shrink: a joint begins to sink at the
+    lead that just holds it. A joint that does not sink rests on an object. Finally, limits get
     the margin of `torque_margin`, and joints that sank return slowly.
     """
 
@@ -205,7 +205,7 @@ class _WeightTransfer:
         self._weight = io.gravity()
         tool = np.asarray(io.model.jacobian(start_q))[:3]
         self._bare_inertia, self._tool = points.inertia(start_q), tool
-        # Torques that carry 1 kg at the tool (n,) [N·m].
+        # Torques that hold 1 kg at the tool (n,) [N·m].
         self._load_weight = -tool.T @ np.asarray(io.model.gravity_vector)
         extra = BOUND_LOAD * self._load_weight
         beyond = BOUND_SHARE * np.abs(self._weight) + BOUND_FRICTION * self._friction
@@ -222,7 +222,7 @@ class _WeightTransfer:
             self._heard - io.delay(self._heard), self._assumed_step
         )
         self._x, self._v = np.zeros(start_q.size), np.zeros(start_q.size)
-        # Leads that were found to carry the joints.
+        # Leads that were found to hold the joints (n,) [rad]; NaN before.
         self._found = np.full(start_q.size, np.nan)
 
     def run(self) -> Array:
@@ -247,7 +247,7 @@ class _WeightTransfer:
         lead = np.where(np.isfinite(self._found), self._found, torque / self._kp)
         limit = np.minimum(SUPPORT * np.abs(torque) + 2.0 * self._friction, self._usable)
         io.send(np.where(taken, io.goal, io.q + lead), np.where(taken, io.limit, limit))
-        # Otherwise the estimate would go on with the torques of the balance.
+        # Tell the observer, which would else assume the torques of the balance.
         now = io.clock.now()
         _, v = self._observer.predict(now)
         self._observer.send(now, -self._observer.d - np.where(self._follows, v / BRAKE_TIME, 0.0))
@@ -279,7 +279,7 @@ class _WeightTransfer:
         now = clock.now()
         dt, self._heard = now - self._heard, now
         self._slowest = max(io.delay(now) + dt, self._slowest * math.exp(-dt / FORGET_TIME))
-        # A slow bus has a longer period; a silence does not count as one.
+        # A slow bus lengthens the period; a long silence must not, so bound it.
         self._period += PERIOD_SHARE * (min(dt, MAX_PERIOD) - self._period)
         return dt
 
@@ -332,7 +332,7 @@ class _WeightTransfer:
         """Bring the joints to rest by their torque limits; return torques that hold them (n,)."""
         torque, passed, still = self._weight, 0.0, 0.0
         mean, moves = torque.copy(), False
-        # Below friction, so that it holds a joint in place without lifting it.
+        # Additional torque limit below friction: it holds a joint in place without lifting it.
         spare = 0.5 * self._friction
         while passed < MIN_BALANCE or (still < STILL_TIME and passed < MAX_BALANCE):
             goal = self._start + full_lead(torque, self._kp)
@@ -349,9 +349,9 @@ class _WeightTransfer:
         return mean
 
     def _shrink(self, weight: Array) -> Array:
-        """Shrink the leads until they just carry the joints; return them (n,) [rad].
+        """Shrink the leads until they just hold the joints; return them (n,) [rad].
 
-        `weight` is the torque that carries each joint (n,) [N·m].
+        `weight` is the torque that holds each joint (n,) [N·m].
         """
         io, servos, kp, usable = self._io, self._io.servos, self._kp, self._usable
         taken, start_q = self._taken, self._start

@@ -51,8 +51,8 @@ if TYPE_CHECKING:
     Exit = Literal["lower", "leave_enabled"]
 
 
-#: Duration of torque on above which the program hangs for the guardian [s]; retries on a bad
-#: line take seconds.
+#: Longest time for switching torque on [s]; after it, the guardian takes the program for hung.
+#: Retries on a bad line take seconds.
 ENABLE_TIME = 10.0
 
 
@@ -95,8 +95,8 @@ class Arm:
             not.
         servos: Servo parameters of the chain, n entries; updated when the drive opens.
         grippers: Grippers by joint name; created again when the drive opens.
-        leads: Goal minus position that carried each joint at torque on (n,) [rad]; NaN for a joint
-            that rested on an object, and before the first torque on.
+        leads: Goal minus position that held each joint against gravity at torque on (n,) [rad]; NaN
+            for a joint that rested on an object, and before the first torque on.
 
     Raises:
         ConfigError: The drive lacks a joint of the model, or an argument is out of range.
@@ -185,7 +185,7 @@ class Arm:
         Raises:
             ServoTimeoutError: Joints do not answer; the message names them.
             ServoError: A joint reads outside its limits, or needs more than twice its torque to
-                carry its weight, or the bus is too slow for `rate`, and nothing was sent; or joints
+                hold its weight, or the bus is too slow for `rate`, and nothing was sent; or joints
                 moved or did not confirm when torque came on.
         """
         with self._supervisor.exclusive():
@@ -217,7 +217,7 @@ class Arm:
         try:
             if self._signals is not None:
                 self._signals.install()
-            # Twice: a signal could end the first call before it holds signals back.
+            # Register twice: a signal could end the first call before it holds signals back.
             atexit.register(self._at_exit)
             atexit.register(self._at_exit)
             self._start_guardian()
@@ -401,7 +401,7 @@ class Arm:
                 on_tick=on_tick,
                 on_detour=on_detour,
             )
-            # Torque off may take longer on a bad line.
+            # No timeout: torque off may be slow on a bad line.
             supervisor.heartbeat[1] = 0.0
             if down:
                 with contextlib.suppress(ServoError):

@@ -27,10 +27,10 @@ class GripperConfig:
     """Configuration of a gripper.
 
     Attributes:
-        opened, closed: Joint positions when open and when closed [rad], of a sliding joint [m];
-            None: the upper and the lower position limit of the model.
-        limit: Default torque limit [N·m], of a sliding joint [N]; None: the smaller of 30 % of the
-            usable torque and 90 % of the overload threshold.
+        opened, closed: Joint positions when open and when closed [rad; m if prismatic]; None: the
+            upper and the lower position limit of the model.
+        limit: Default torque limit [N·m; N if prismatic]; None: the smaller of 30 % of the usable
+            torque and 90 % of the overload threshold.
         lever: Distance from the axis to the middle of the finger [m]. If given, `Gripper.close`
             takes a force at the finger [N] and `Gripper.width` is in [m]; None: a torque [N·m] and
             an angle [rad].
@@ -42,7 +42,7 @@ class GripperConfig:
     lever: float | None = None
 
     def __post_init__(self) -> None:
-        """Raise `ConfigError` unless all attributes have valid values."""
+        """Raise `ConfigError` unless all attributes are valid."""
         if self.limit is not None and not self.limit >= 0.0:
             raise ConfigError(f"GripperConfig.limit must be at least 0 N·m, got {self.limit!r}")
         if self.lever is not None and not self.lever > 0.0:
@@ -57,9 +57,9 @@ class Gripper:
 
     Attributes:
         name: Joint name.
-        opened, closed: Joint positions when open and when closed [rad], of a sliding joint [m].
-        limit: Default torque limit [N·m], of a sliding joint [N].
-        max_limit: Largest torque limit [N·m], of a sliding joint [N].
+        opened, closed: Joint positions when open and when closed [rad; m if prismatic].
+        limit: Default torque limit [N·m; N if prismatic].
+        max_limit: Largest torque limit [N·m; N if prismatic].
     """
 
     def __init__(
@@ -99,8 +99,8 @@ class Gripper:
         """Close until the fingers meet or an object stops them.
 
         Args:
-            force: Largest force at the finger [N] if `GripperConfig.lever` is given or the joint
-                slides, else largest joint torque [N·m]; None: the default limit.
+            force: Largest force at the finger [N] if `GripperConfig.lever` is given or the joint is
+                prismatic, else largest joint torque [N·m]; None: the default limit.
 
         Raises:
             ConfigError: The force is negative, not finite, or above the servo's maximum.
@@ -108,9 +108,9 @@ class Gripper:
         self.go(self.closed, force)
 
     def go(self, position: float, force: float | None = None) -> None:
-        """Move to a joint position [rad] ([m] if it slides), clipped to the travel.
+        """Move to a joint position [rad; m if prismatic], clipped to the travel.
 
-        `force` is as in `close`.
+        `force` is as in `close`. Invalid values raise `ConfigError`.
         """
         low, high = sorted((self.closed, self.opened))
         position = real(position, f"{self.name}: position")
@@ -120,19 +120,19 @@ class Gripper:
 
     @property
     def position(self) -> float:
-        """Last measured joint position [rad], of a sliding joint [m]."""
+        """Last measured joint position [rad; m if prismatic]."""
         return self._measure(self.name)
 
     @property
     def width(self) -> float:
-        """Opening, 0 when closed: [m] with a lever or a sliding joint, else [rad]."""
+        """Opening, 0 when closed: [m] with a lever or a prismatic joint, else [rad]."""
         travel = abs(self.position - self.closed)
         if self._sliding or self._lever is None:
             return travel
         return 2.0 * self._lever * math.sin(min(travel, math.pi) / 2.0)
 
     def _torque(self, force: float | None) -> float:
-        """Return the torque limit [N·m] (sliding joint: force [N]) for the `force` of `close`."""
+        """Return the torque limit [N·m; N if prismatic] for the `force` of `close`."""
         if force is None:
             return self.limit
         arm = self._lever if self._lever is not None and not self._sliding else 1.0

@@ -26,8 +26,8 @@ class Budget:
         seconds: Thermal time constant of a servo's winding [s]. At full torque the budget is used
             up after ``−seconds ln(1 − continuous²)``: 5.2 s by default.
         supply: Largest current of the power supply [A]; None: no limit.
-        hottest: Highest temperature of the servos [°C]. For a servo whose own limit is known and
-            lower, that one counts.
+        hottest: Highest temperature of the servos [°C]; the limit of a servo itself, if it is known
+            and lower, takes its place.
     """
 
     continuous: float = 0.4
@@ -36,11 +36,11 @@ class Budget:
     hottest: float = 70.0
 
     def __post_init__(self) -> None:
-        """Raise `ConfigError` unless all attributes have valid values."""
+        """Raise `ConfigError` unless all attributes are valid."""
         self.thermal_model((), ())
 
     def thermal_model(self, max_torque: ArrayLike, stall_current: ArrayLike | None) -> ThermalModel:
-        """Return a thermal model of N servos, which starts cold.
+        """Return a thermal model of N cold servos.
 
         Args:
             max_torque: Usable torques (N,) [N·m].
@@ -67,8 +67,8 @@ def thermal_faults(
     Args:
         thermal: Thermal model of the N servos.
         names: Joint names (N,).
-        temperature: Measured temperatures (N,) [°C]; those of the model are higher for servos
-            with a lower limit.
+        temperature: Measured temperatures (N,) [°C]; those of the model are higher by the
+            difference of `Budget.hottest` and a lower limit of the servo.
     """
     faults = []
     limits = thermal.zero_torque_temperature + np.subtract(temperature, thermal.temperature)

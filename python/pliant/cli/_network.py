@@ -52,7 +52,7 @@ class NetworkFlags:
         # A simulated arm must run in real time, as its clients do.
         is_simulated = config.backend == "sim"
         connected = connect(config, real_time=True) if is_simulated else connect(config)
-        # Check the settings here, so that an error is raised before torque is on.
+        # Check the settings here, to raise errors before torque is on.
         Controller(connected.model, settings, connected.servos)
         with open_link() as link:
             print_line(ready.format(address=link.address))

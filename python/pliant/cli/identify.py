@@ -64,7 +64,7 @@ def run(
     arm_config = override.load(arm)
     file = None if report is None else Measurements(report, override.inputs(arm, arm_config))
     connected = connect(arm_config)
-    # Check the settings here, so that an error is raised before torque is on.
+    # Check the settings here, to raise errors before torque is on.
     Controller(connected.model, arm_config.settings(), connected.servos)
     console = Console()
     print_line(f"{procedure}: {PROCEDURE_TEXTS[procedure]}; do not touch the arm", console)

@@ -71,7 +71,7 @@ def run(
     loaded.validate_for(arm_config.model())
     options: dict[str, Any] = {"speed": speed, "wait": wait, "stop": stop}
     connected = connect(arm_config)
-    # Check settings and motion here, so that an error is raised before torque is on.
+    # Check settings and motion here, to raise errors before torque is on.
     teach.Replay(Controller(connected.model, settings, connected.servos), loaded, **options)
     player = _Player(times)
     try:

@@ -62,7 +62,7 @@ def run(
     """
     arm_config, settings = load(arm, override, soft, duration=duration, log=log, source=targets)
     connected = connect(arm_config)
-    # Check the settings here, so that an error is raised before torque is on.
+    # Check the settings here, to raise errors before torque is on.
     Controller(connected.model, settings, connected.servos)
     runs: list[tuple[Arm, Loop, list[str]]] = []
     try:

@@ -38,7 +38,7 @@ CLOCK_TEST_TIME = 1.0
 #: Largest acceptable 99.9th percentile of the lateness of control cycles, as a share of the control
 #: period [1].
 MAX_LATENESS = 0.2
-#: Task axes of the check whether the servos can carry the arm; for n < 3 joints, the first n axes.
+#: Task axes of the check whether the servos can hold the arm; for n < 3 joints, the first n axes.
 ANY_TASK = "xyz"
 
 
@@ -125,7 +125,7 @@ def _model(config: Config, model: Model) -> Iterator[Diagnosis]:
 
 
 def _controllable(config: Config, model: Model) -> Iterator[Diagnosis]:
-    """Check that a `Controller` can be created: the task fits, and the servos carry the arm."""
+    """Check that a `Controller` can be created: the task fits, and the servos can hold the arm."""
     settings = config.settings()
     try:
         Controller(model, settings)
@@ -136,7 +136,7 @@ def _controllable(config: Config, model: Model) -> Iterator[Diagnosis]:
         yield Diagnosis(
             "note", "settings", f"{error}; `pliant run` needs `task` in [settings] of the file"
         )
-        # Use a valid task, so that the check whether the servos carry the arm still runs.
+        # Use a valid task, so that the check whether the servos hold the arm still runs.
         with contextlib.suppress(PliantError):
             settings = settings.replace(task=ANY_TASK[: model.n])
         try:

@@ -64,7 +64,8 @@ class Robot(StrictModel):
     Attributes:
         urdf: Path of a URDF file, relative to the configuration file.
         builtin: Name of an arm that ships with the package.
-        base, tip: First and last link of the controlled chain; optional if the URDF has only one.
+        base, tip: First and last link of the controlled chain; default: the root link, and the only
+            link without a child.
         payload: Load at the tool.
         gravity: Gravity vector in base axes [m/s²].
         locked: Fixed angles by name of joints outside the controlled chain [rad].

@@ -78,8 +78,7 @@ def _single(servo: Servo, instruction: int, params: bytes) -> bytes:
     elif instruction == REBOOT and isinstance(servo, StsServo):
         servo.power_up()
     else:
-        # Reject other instructions. These include the factory reset, which would clear the id and
-        # which no driver needs.
+        # Reject other instructions, also factory reset: it clears the id, and no driver needs it.
         error = BIT_INSTRUCTION
     if servo.level < level:
         return b""

@@ -72,8 +72,7 @@ def _single(servo: XServo, instruction: int, params: bytes) -> bytes:
     elif instruction == REBOOT:
         servo.power_up()
     else:
-        # Reject other instructions. These include the factory reset, which would clear the id and
-        # which no driver needs.
+        # Reject other instructions, also factory reset: it clears the id, and no driver needs it.
         error = INSTRUCTION
     if servo.level < min_level:
         return b""

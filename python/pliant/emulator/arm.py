@@ -305,7 +305,7 @@ def emulate(
             emulated servos and bus take their place.
         held: True: the arm is held until all joints of the chain have torque; otherwise it falls
             from the start.
-        hand: Simulated hand that moves the joints, also without torque. It carries the arm, so
+        hand: Simulated hand that moves the joints, also without torque. It holds the arm up, so
             `held` has no effect.
         **options: Keywords of `Emulator`: `timing`, `faults`, `clock`, `baud`, `log`.
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 #: Stiffness of the hand's grip, as natural frequency of a joint's inertia on that spring [rad/s].
 GRIP = 30.0
-#: Largest torque of the hand on a joint, in addition to the torque that carries the arm [N·m].
+#: Largest torque of the hand on a joint, in addition to the torque that holds the arm [N·m].
 MAX_TORQUE = 1.0
 #: Amplitude of the motion `wave` [rad].
 AMPLITUDE = 0.3
@@ -32,7 +32,7 @@ MIDDLE_TIME, RANGE_TIME = 20.0, 6.0
 
 
 class JointHand:
-    """Simulated hand that moves joints along a motion and carries their weight.
+    """Simulated hand that moves joints along a motion and holds their weight.
 
     A damped spring of bounded torque pulls each joint. A servo with torque on resists the hand.
 
@@ -60,7 +60,7 @@ class JointHand:
         """Do nothing after a physics step."""
 
     def during(self, plant: Plant) -> None:
-        """Apply the hand's torques, which also carry the weight, to the joints for one step."""
+        """Apply the hand's torques, which also hold the weight, to the joints for one step."""
         model, data = plant.mj_model, plant.mj_data
         targets = self._motion(data.time)
         if not self._start:

@@ -157,7 +157,7 @@ class Servo(ABC):
 
     def get(self, name: str) -> int:
         """Return the present value of the register `name`."""
-        # Without `Table` for unsigned registers: this runs thousands of times a second.
+        # Decode unsigned registers without `Table`: this runs thousands of times a second.
         start, stop, sign = self._fields[name]
         raw = int.from_bytes(self.memory[start:stop], "little")
         return raw if sign is None else self.table[name].decode(self.memory[start:stop])

@@ -27,7 +27,7 @@ class Timing:
     usb_latency: float = 0.0
 
     def __post_init__(self) -> None:
-        """Raise `ConfigError` unless all attributes have valid values."""
+        """Raise `ConfigError` unless all attributes are valid."""
         for name in ("turnaround", "usb_latency"):
             value = getattr(self, name)
             if not 0.0 <= value < 1.0:

@@ -42,7 +42,7 @@ class SoftAction:
     max_speed: tuple[float, float] = (0.1, 0.5)
 
     def __post_init__(self) -> None:
-        """Raise `ConfigError` unless all attributes have valid values."""
+        """Raise `ConfigError` unless all attributes are valid."""
         if self.motion not in ("twist", "pose", "joints"):
             raise ConfigError(f"motion {self.motion!r}; choose from twist, pose, joints")
         if not all(speed > 0.0 for speed in self.max_speed):

@@ -95,9 +95,12 @@ class VectorTaskEnv(gymnasium.vector.VectorEnv[dict[str, "Array"], "Array", Any]
         """Start new episodes: of all arms, or of those in the mask ``options["reset_mask"]``.
 
         Args:
-            seed: Seed of the first arm, from which the other arms count on; or one seed per arm.
-                None: the random generators continue.
+            seed: Seed s, from which arm i gets s + i; or one seed per arm. None: the random
+                generators continue.
             options: ``{"reset_mask": mask}`` with a mask (N,), not all False.
+
+        Raises:
+            ConfigError: The mask or the number of seeds is invalid.
         """
         mask = self._reset_mask(options)
         seeds = [seed + i for i in range(self.num_envs)] if isinstance(seed, int) else seed
@@ -113,7 +116,11 @@ class VectorTaskEnv(gymnasium.vector.VectorEnv[dict[str, "Array"], "Array", Any]
         return self._observation(), infos
 
     def step(self, actions: Array) -> tuple[dict[str, Array], Array, Mask, Mask, dict[str, Any]]:
-        """Run the controllers of all arms for one period of the decision rate."""
+        """Run the controllers of all arms for one period of the decision rate.
+
+        Raises:
+            ConfigError: There was no `reset` yet, or `actions` has the wrong shape.
+        """
         if not self._rngs:
             raise ConfigError("step before reset: call reset() first")
         mode = self.autoreset_mode

@@ -47,7 +47,7 @@ SWING = 0.04
 TORQUE_SHARE = 0.3
 #: Time for which the arm rests after the initial oscillation [s].
 REST_TIME = 0.4
-#: Value of `HandGuiding.play`, the backlash between arm and goal, until it is computed [rad].
+#: Value of `HandGuiding.play`, the backlash between arm and goal, until `ready` is True [rad].
 INITIAL_PLAY = 2e-3
 
 

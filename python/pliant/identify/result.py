@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 #: Largest standard deviation of the stiffness of a joint that counts as identified, as a share of
 #: the stiffness [1].
 KNOWN_SIGMA = 0.1
-#: Residuals over assumed noise above which the model misses an effect, such as a hand [1].
+#: Ratio of residuals to assumed noise above which the model lacks an effect, e.g. a hand [1].
 MAX_RESIDUAL_RATIO = 2.0
 #: Smallest `PayloadEstimate.sigma_reduction` of a direction that the data determine [1].
 MIN_REDUCTION = 0.5

@@ -20,7 +20,7 @@ VERSION = "1"
 RUN, URDF, SETTINGS = "run.json", "robot.urdf", "settings.txt"
 CONFIG, END = "config.json", "end.json"
 
-#: Columns of a log with one value per joint (n,): readings of the servos, and commands to them.
+#: Columns of a log with one value per joint (n,): `STATE` read from the servos, `COMMAND` sent.
 STATE = ("q", "dq", "load", "current", "voltage", "temperature", "age")
 COMMAND = ("goal", "torque_limit", "speed_limit")
 #: Columns of a log with one value per task axis (k,), named as in `Controller.diagnostics`.

@@ -30,7 +30,7 @@ MIN_RANGE = {"mm": 2.0, "mrad": 8.0, "N": 2.0, "N·m": 0.4}
 def softness(folder: Path, log: Log, forces: ForceEstimates | None) -> None:
     """Write the figure `softness` to `folder`: deviation and estimated force of each task axis.
 
-    The thresholds of the deviation and the cap of the force are drawn too.
+    It also shows the thresholds of the deviation and the cap of the force.
     """
     axes, time = log.run["axes"], elapsed_time(log)
     thinned = style.thin(time, rate=50.0)
@@ -82,7 +82,7 @@ def _deviation(ax: Axes, name: str, time: Array, deviation: Array) -> None:
 def strength(folder: Path, log: Log, bounds: list[Span]) -> None:
     """Write the figure `strength` to `folder`: torque limits over time, and spans at a limit.
 
-    Torque limits are drawn as shares of the maximum torque; `bounds` are the spans.
+    Torque limits are plotted as shares of the maximum torque; `bounds` are the spans.
     """
     joints, time = log.run["joints"], elapsed_time(log)
     thinned = style.thin(time)

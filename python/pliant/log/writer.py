@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 CHUNK_TIME = 0.5
 #: Number of messages per tick, for the estimate of the chunk size.
 MESSAGES = 8
-#: Size of a message without its numbers [bytes], for the same estimate.
+#: Size of a message without its numbers [bytes], for the chunk size.
 OVERHEAD = 150
 #: Standard ROS 2 messages of a log.
 STANDARD = (JOINT_STATE, POSE_STAMPED, TF_MESSAGE, STRING)

@@ -28,10 +28,10 @@ class Reaction:
     Attributes:
         when: Condition that begins the actions when it becomes true.
         then: One action or several, in the order in which they change the target.
-        until: Condition that ends the actions. None: they end together. With `Stop` or `Retract`
-            they end by `ReactionMonitor.resume()`, else with `Follow` when it is complete, else
-            once `when` has been false for the time `clear`.
-        clear: Time for which `when` must be false before actions without another end end [s].
+        until: Condition that ends the actions. None: they end together: if one is `Stop` or
+            `Retract`, by `ReactionMonitor.resume()`; else if one is `Follow`, when it is complete;
+            else once `when` has been false for the time `clear`.
+        clear: Time [s] for which `when` must be false, see `until`.
     """
 
     when: Condition

@@ -45,7 +45,7 @@ _COMMANDED = ("goal", "limit", "speed_cap")
 _RESUMED = ("torque_enable", "goal", "limit")
 #: Number of torque-off packets to a servo that does not reply.
 OFF_PACKETS = 3
-#: Largest number of attempts to send them: on a noisy line, an attempt may fail.
+#: Largest number of attempts to send torque-off packets: on a noisy line, an attempt may fail.
 OFF_TRIES = 30
 MAY_BE_ON = "torque may still be on: "
 #: Text about servos whose registers could not be restored after torque off.
@@ -108,7 +108,7 @@ def enable(
             for group in write_groups(served):
                 rows = [commands[id(device)] for device in group.devices]
                 port.send(group, *_encoded(group, rows))
-        # From here on, few requests: the arm may already hang on servos without feedback.
+        # Send few requests from here on: servos may already hold the arm without a loop.
         found = _images(devices, ports, *_COMMANDED, "torque_enable", "position", "speed")
         switched_by_goal: dict[Port, list[Device]] = {}
         for device in devices:
@@ -124,7 +124,7 @@ def enable(
             elif device in switched:
                 switched_by_goal.setdefault(ports[id(device)], []).append(device)
         for port, served in switched_by_goal.items():
-            # One packet: these servos have torque already, which is checked below.
+            # Send one packet without a reply: torque is on already, and is checked below.
             for group in write_groups(served):
                 register = group.family.registers["torque_enable"]
                 ones = [register.encode(1)] * len(group.ids)
@@ -132,7 +132,7 @@ def enable(
         found = _images(devices, ports, "torque_enable", "position")
         for device in devices:
             _check_still(device, start[id(device)], found[id(device)])
-        # A reading now: after a silence, the first one would ask each servo whether it restarted.
+        # Read now: after a silence, the first reading asks each servo whether it restarted.
         for port in dict.fromkeys(ports[id(device)] for device in devices):
             port.read(inf)
     except BaseException as error:
@@ -221,8 +221,8 @@ def _read_together(
     Servos that cannot be read like this are left out.
 
     Returns:
-        Replies of the servos by their `id`, that with the position last; and the servos whose
-        request failed, because one of them did not answer.
+        Replies by ``id(device)``, the one with the position last; and ``id(device)`` of the servos
+        whose request failed, because one of them did not answer.
 
     Raises:
         BusError: A port is gone.

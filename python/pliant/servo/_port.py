@@ -50,14 +50,14 @@ class Group:
 
     Attributes:
         devices: The servos.
-        last: The last of them.
-        family: Their family.
+        last: Last of the servos.
+        family: Family of the servos.
         ids: Ids of the servos.
         sync_read: True if one request can read all of them.
         read: Blocks of a reading, see `Family.read`.
         write_blocks: Block of each packet of a command.
         indices: Indices of the servos in the codec.
-        core: The servos in the core, which makes a request with conversion of the registers in one
+        core: `ServoGroup` of the core, which sends a request and converts the registers in one
             call; None if the transport does not support it.
         read_with_status: Blocks of a reading that contains the status registers too; empty: they
             are read separately.
@@ -185,8 +185,8 @@ class Port:
 
         Returns:
             Indices of the servos whose reading was received and is plausible; none if the port is
-            gone. If all readings are usual, and all servos of the bus are on this port and in one
-            group, the readings of the joints.
+            gone. The readings of the joints instead, if no reading needs attention and all servos
+            of the bus are on this port and in one group.
         """
         accepted: list[int] = []
         group, guard = self._only_group, self.guard
@@ -198,7 +198,7 @@ class Port:
                 and guard.is_clear
                 and not (self._misses or budget == inf)
             ):
-                # Nearly every cycle: a reading without status, after a cycle without a failure.
+                # Fast path of nearly every cycle: a reading without status, after no failure.
                 try:
                     found = guard.read_at_once(
                         group.core, group.ids, group.read[0], self._restart, budget
@@ -430,7 +430,7 @@ class Port:
         servo, the last one last. This saves a separate status request in each cycle.
 
         Returns:
-            The readings of the joints, if they are usual and the bus has no other servos.
+            The readings of the joints, if none needs attention and the bus has no other servos.
         """
         decoder = None if self._misses else group.core
         blocks, is_usual, has_status = group.read, group.is_plain, False

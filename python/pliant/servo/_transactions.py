@@ -432,11 +432,11 @@ class TransactionGuard:
             blocks: Alternative blocks of different lengths, see `read`.
             decoder: These servos, where the readings are stored; None: nowhere.
             longest: Age of the last reading above which a reading is not stored [s].
-            usual: True: return no replies with the first of `blocks` if the core finds nothing in
-                them that needs attention, see `ServoGroup.read`.
+            usual: True: return readings instead of replies if the first of `blocks` is read and no
+                reading needs attention, see `ServoGroup.read`.
 
         Returns:
-            The replies; without them, see `usual`, the readings of all joints, or None if there
+            The replies; instead of them, see `usual`, the readings of all joints, or None if there
             are other servos.
 
         Raises:
@@ -480,9 +480,9 @@ class TransactionGuard:
     def read_at_once(
         self, decoder: ServoGroup, ids: Sequence[int], block: Block, longest: float, budget: float
     ) -> GroupReplies | JointReadings | None:
-        """Start a control cycle with a usual `sync_decode` of one block, if the line `is_clear`.
+        """Start a control cycle with a `sync_decode` of one block; the line must be `is_clear`.
 
-        This is what happens in nearly every cycle, in as few steps as possible.
+        Nearly every cycle takes this path, so it has as few steps as possible.
 
         Raises:
             BusError: At least one reply is missing or corrupt; nothing is stored.

@@ -238,7 +238,7 @@ class ServoBus:
                 self._devices, self._port_of, self._budget, sequences.RESUME_TIME
             )
             if self._silent and not any(device.enabled for device in self._devices):
-                # Unknown is not off: switching them off would drop the arm.
+                # Keep their torque: it may hold the arm.
                 names = ", ".join(device.name for device in self._silent)
                 raise ServoError(f"no answer from {names}: torque may be on")
         except BaseException:
@@ -432,7 +432,7 @@ class ServoBus:
                 return found
         else:
             accepted = self._pool.map(lambda port: port.read(self._budget), self._ports)
-            # A port has readings of all joints only if it is the only one.
+            # Several ports return indices: only a single port returns `JointReadings`.
             found = [i for of_port in accepted if isinstance(of_port, list) for i in of_port]
         for port in self._ports:
             if port.guard.is_gone:
@@ -468,7 +468,7 @@ class ServoBus:
                     # The port counts the error, and the servos keep the values written last.
                     continue
         except (ShapeError, OutOfRangeError):
-            # Raises an error that names the joint.
+            # Raise an error that names the joint.
             self._vector(goal, "goal")
             self._vector(limit, "limit", unit="N·m")
             if velocity is not None:
@@ -515,7 +515,7 @@ class ServoBus:
             goal: Expected joint positions (n,) [rad].
             limit: First torque limits (n,) [N·m].
             lead: First goal minus position (n,) [rad] of joints without torque; None: 0. With it, a
-                joint carries its weight at once.
+                joint holds its weight at once.
 
         Raises:
             ShapeError, ConfigError: A vector is not (n,), not finite or negative.

@@ -93,8 +93,8 @@ class ServoSpec:
         id: Id on the bus.
         port: Serial port, e.g. ``/dev/ttyUSB0``.
         sign: +1 if counts rise with the joint angle, else -1.
-        zero: Count at joint angle 0, may be fractional, at most a turn of the joint outside the
-            encoder's counts; None: the middle of the servo's range.
+        zero: Encoder count at joint angle 0, not necessarily whole, at most one joint turn outside
+            the encoder's range; None: the middle of the servo's range.
         gear_ratio: Turns of the servo per turn of the joint, above 0.
         secondary: Id and sign of a second servo on the same joint. The zero of that servo is
             computed at open from the first servo, because the joint couples both.
@@ -135,7 +135,7 @@ class ServoSpec:
     voltage: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
-        """Raise `ConfigError` unless all attributes have valid values."""
+        """Raise `ConfigError` unless all attributes are valid."""
         row = self.row
         highest = 253 if row.family.protocol == "p1" else 252
         ids = [self.id] if self.secondary is None else [self.id, self.secondary[0]]
@@ -277,7 +277,7 @@ class Units:
     def of(spec: ServoSpec, voltage: float | None = None) -> Units:
         """Return the conversions of a joint's first servo at a supply voltage [V].
 
-        `voltage` None is the rated voltage.
+        If `voltage` is None, it is the rated voltage.
 
         Raises:
             ConfigError: The voltage is not above 0.

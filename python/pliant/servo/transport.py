@@ -67,8 +67,9 @@ class Transport(Protocol):
 
     Data are bytes of the control table from `address` on. A status is the error byte of a reply.
 
-    Optional: the attribute `serial`, the port for requests with conversion in one call of the core;
-    with it, the methods `lost` and `broken`, see `RustypotTransport`.
+    A transport may have the attribute `serial`, a `pliant._core.SerialPort` that sends a request
+    and converts the replies in one call. It then also has `lost` and `broken`, as in
+    `RustypotTransport`.
     """
 
     def read(self, id: int, address: int, size: int) -> tuple[bytes, int]:
@@ -118,8 +119,8 @@ class RustypotTransport:
         timeout: Reply timeout [s].
 
     Attributes:
-        serial: The port for packets of Protocol 1.0, which the core makes; None for Protocol 2.0,
-            on Windows, and if the file descriptor is not known.
+        serial: `SerialPort` of the core for packets of Protocol 1.0; None for Protocol 2.0, on
+            Windows, and if the file descriptor is not known.
 
     Raises:
         ImportError: The extra `servo` is missing.
@@ -142,7 +143,7 @@ class RustypotTransport:
             self._io: Any = kind(port, baudrate, timeout)
         except (OSError, RuntimeError) as error:
             raise ServoError(_cannot_open(port, str(error))) from error
-        # Resolved now: the link of an adapter that is pulled is gone before the port is closed.
+        # Resolve the path now: if the adapter is unplugged, its link is gone before `close`.
         self._path = os.path.realpath(port)
         _OPEN.add(self._path)
         self._descriptors = _descriptors(port) - before

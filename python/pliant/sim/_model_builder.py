@@ -341,7 +341,7 @@ def servo(spec: mujoco.MjSpec, joint: str, kp: float, kv: float, torque: float) 
 
 
 def set_damping(joint: mujoco.MjsJoint, value: float) -> None:
-    """Set the linear damping of a joint [N·m·s/rad], of a slide [N·s/m].
+    """Set the linear damping of a joint [N·m·s/rad; N·s/m if prismatic].
 
     MuJoCo 4 has the coefficients of a polynomial for it, MuJoCo 3 one number.
     """

@@ -35,7 +35,7 @@ class Overload:
     remains: float = 0.0
 
     def __post_init__(self) -> None:
-        """Raise `ConfigError` unless all attributes have valid values."""
+        """Raise `ConfigError` unless all attributes are valid."""
         if not 0.0 < self.threshold <= 1.0:
             raise ConfigError(f"Overload.threshold must be in (0, 1], got {self.threshold:g}")
         if not self.seconds >= 0.0:

@@ -82,7 +82,7 @@ class Door(GraspedObject):
     widest: float = field(default=0.0, init=False)
 
     def __post_init__(self) -> None:
-        """Raise `ConfigError` unless all attributes have valid values."""
+        """Raise `ConfigError` unless all attributes are valid."""
         super().__post_init__()
         hinge = np.asarray(self.hinge, dtype=np.float64)
         axis = np.asarray(self.axis, dtype=np.float64)

@@ -50,7 +50,7 @@ class Drawer(GraspedObject):
     across: float = field(default=0.0, init=False)
 
     def __post_init__(self) -> None:
-        """Raise `ConfigError` unless all attributes have valid values."""
+        """Raise `ConfigError` unless all attributes are valid."""
         super().__post_init__()
         axis = np.asarray(self.axis, dtype=np.float64)
         if axis.shape != (3,) or abs(float(np.linalg.norm(axis)) - 1.0) > 1e-9:

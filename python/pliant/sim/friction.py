@@ -64,7 +64,7 @@ class Friction:
     exponent: ArrayLike = 1.0
 
     def __post_init__(self) -> None:
-        """Raise `ConfigError` unless all attributes have valid values."""
+        """Raise `ConfigError` unless all attributes are valid."""
         for field in fields(self):
             try:
                 value = np.asarray(getattr(self, field.name), dtype=np.float64)

@@ -171,7 +171,7 @@ class HandoverObject(GraspedObject):
     released: float | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
-        """Raise `ConfigError` unless all attributes have valid values."""
+        """Raise `ConfigError` unless all attributes are valid."""
         super().__post_init__()
         if np.shape(self.displacement) != (3,):
             raise ConfigError(

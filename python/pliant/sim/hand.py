@@ -136,7 +136,7 @@ class Drag:
     offset: float = 0.0
 
     def __post_init__(self) -> None:
-        """Raise `ConfigError` unless all attributes have valid values."""
+        """Raise `ConfigError` unless all attributes are valid."""
         _direction(self.axis, _AXES)
         _not_negative(stiffness=self.stiffness, damping=self.damping, limit=self.limit)
 
@@ -179,7 +179,7 @@ class Twist:
     course: ForceProfile = field(default_factory=ForceProfile)
 
     def __post_init__(self) -> None:
-        """Raise `ConfigError` unless all attributes have valid values."""
+        """Raise `ConfigError` unless all attributes are valid."""
         _direction(self.axis, _TURNS)
         _not_negative(stiffness=self.stiffness, damping=self.damping, limit=self.limit)
 
@@ -211,7 +211,7 @@ class Push:
     course: ForceProfile = field(default_factory=lambda: ForceProfile(start=2.0, rise=1.0, end=5.0))
 
     def __post_init__(self) -> None:
-        """Raise `ConfigError` unless all attributes have valid values."""
+        """Raise `ConfigError` unless all attributes are valid."""
         if np.shape(self.force_vector) != (3,) or np.shape(self.torque_vector) != (3,):
             raise ConfigError("Push.force_vector and torque_vector have three entries each")
 

@@ -38,7 +38,7 @@ class Wall:
     at: str = TOOL
 
     def __post_init__(self) -> None:
-        """Raise `ConfigError` unless all attributes have valid values."""
+        """Raise `ConfigError` unless all attributes are valid."""
         if np.shape(self.into) != (3,) or abs(float(np.linalg.norm(self.into)) - 1.0) > 1e-9:
             raise ConfigError(f"Wall.into must be a unit vector (3,), got {self.into!r}")
         if not (self.stiffness >= 0.0 and self.damping >= 0.0):
@@ -74,7 +74,7 @@ class Table:
     at: str = TOOL
 
     def __post_init__(self) -> None:
-        """Raise `ConfigError` unless all attributes have valid values."""
+        """Raise `ConfigError` unless all attributes are valid."""
         if not (np.isfinite(self.height) and self.stiffness >= 0.0 and self.damping >= 0.0):
             raise ConfigError(
                 f"Table needs a finite height, stiffness and damping at least 0, got {self!r}"

@@ -68,7 +68,7 @@ class Socket(Fixture):
     deepest: float = field(default=0.0, init=False)
 
     def __post_init__(self) -> None:
-        """Raise `ConfigError` unless all attributes have valid values."""
+        """Raise `ConfigError` unless all attributes are valid."""
         if np.shape(self.offset) != (3,) or np.shape(self.tilt) != (3,):
             raise ConfigError("Socket.offset and tilt have three entries each")
         low = min(self.clearance, self.chamfer, self.friction)

@@ -50,7 +50,7 @@ class Surface:
     at: str = TOOL
 
     def __post_init__(self) -> None:
-        """Raise `ConfigError` unless all attributes have valid values."""
+        """Raise `ConfigError` unless all attributes are valid."""
         low = min(self.stiffness, self.damping, self.friction, self.pad)
         if not (low >= 0.0 and self.wave > 0.0 and np.isfinite(self.below + self.unevenness)):
             raise ConfigError(

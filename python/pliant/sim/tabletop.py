@@ -51,7 +51,7 @@ class Tabletop(Fixture):
     touching: tuple[str, ...] = field(default=(), init=False)
 
     def __post_init__(self) -> None:
-        """Raise `ConfigError` unless all attributes have valid values."""
+        """Raise `ConfigError` unless all attributes are valid."""
         if not (np.isfinite(self.height) and self.friction >= 0.0):
             raise ConfigError(f"Tabletop needs a finite height and friction >= 0, got {self!r}")
 

@@ -66,6 +66,8 @@ class Teacher:
         Args:
             state: State of the arm in this tick.
             dt: Time since the last step [s]; None: 1/rate.
+
+        Raises the exceptions of `HandGuiding.step`.
         """
         command = self._guiding.step(state.q, dt=dt)
         if self.recording:
@@ -105,7 +107,7 @@ class Teacher:
         }
 
     def gripper_pressed(self, state: State) -> bool:
-        """Return True if a gripper is pressed shut that was open at the last call."""
+        """Return True if a gripper that was open at the last call is now pressed shut."""
         closed = False
         for name, gripper in self._arm.grippers.items():
             share = (state.extra[name] - gripper.closed) / (gripper.opened - gripper.closed)

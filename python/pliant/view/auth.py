@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 #: Number of random bytes in the token, before it is encoded as text.
 TOKEN_BYTES = 24
-#: Largest message that a browser may send [bytes]; those of the page have less than 1000.
+#: Largest message that a browser may send [bytes]; the page sends less than 1000 bytes.
 MAX_MESSAGE = 65_536
 #: Text of the response to every rejected request.
 REFUSAL = "This page moves a robot: open it by the link that `pliant view` prints on its terminal."

@@ -62,9 +62,9 @@ class Page:
         self._protect_controls()
 
     def _protect_controls(self) -> None:
-        """Let a browser change the value of a control only.
+        """Let a browser change only the values of controls.
 
-        viser lets it set every attribute: one that removes the STOP button ends the page.
+        viser lets it set every attribute; removing the STOP button in this way ends the page.
         """
         change, interface = self.server.gui._handle_gui_updates, self.server._websock_server
 

@@ -102,7 +102,7 @@ class Session:
         self._pacer = RealtimePacer(arm.clock) if self._source.paced else None
         self.publisher.observe(arm, self._robot, observer, self._pacer)
         observer.on_read = self.publisher.on_read
-        # Check the settings here, so that an error is raised before torque is on.
+        # Check the settings here, to raise errors before torque is on.
         Controller(arm.model, self.editor.effective, arm.servos)
         with arm:
             try:

@@ -23,7 +23,7 @@ pub(crate) struct JointReadings {
 /// Values of a reading. Those of servos become arrays only when Python asks for them.
 #[derive(Debug)]
 pub(crate) enum Values {
-    /// Values of each joint (N), and true for joints that were read.
+    /// Values of each of the N joints, and true for joints that were read.
     Servos(Vec<Row>, Vec<bool>),
     Arrays(Arrays),
 }

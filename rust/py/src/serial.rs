@@ -12,19 +12,22 @@ use pyo3::types::{PyBytes, PyList};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::{Errno, read, write};
 
-/// Before a request, received bytes are discarded: at most this many per read, in at most this many reads. The number
-/// of reads is bounded because a noisy line may never be silent.
+/// Maximum number of bytes per read when received bytes are discarded before a request.
 const CHUNK: usize = 256;
+/// Maximum number of these reads; a noisy line may never be silent.
 const MAX_DISCARDS: usize = 16;
 /// Longest timeout [s].
 const LONGEST: f64 = 60.0;
 /// Number of bytes of a reply packet of Protocol 1.0 without data: header (2), id, length, status, checksum.
 const OVERHEAD: usize = 6;
 
-/// Instructions of Protocol 1.0, and the id that addresses all servos.
+/// Instruction of Protocol 1.0 that reads registers of one servo.
 const READ: u8 = 0x02;
+/// Instruction of Protocol 1.0 that reads the same registers of several servos.
 pub(crate) const SYNC_READ: u8 = 0x82;
+/// Instruction of Protocol 1.0 that writes the same registers of several servos.
 const SYNC_WRITE: u8 = 0x83;
+/// Id that addresses all servos.
 const BROADCAST: u8 = 0xfe;
 
 /// Bytes that servos have sent in reply to a request.

@@ -23,7 +23,7 @@ pub(crate) struct ServoCodec {
 }
 
 impl ServoCodec {
-    /// Returns the readings of all joints, those whose servos are all among `read` as new.
+    /// Returns the readings of all joints; marks a joint as new if all its servos are in `read`.
     pub(crate) fn joints(&mut self, read: &[usize]) -> JointReadings {
         let (joints, ok) = self.core.joints(read);
         JointReadings::of_servos(joints, ok)

@@ -51,7 +51,7 @@ def run(log: LogFile, *, output: File = None) -> None:
 
 
 def _plot(file: Path, log: Log) -> None:
-    """Draw the quantities of a log over time to a file: joints on the left, task axes right."""
+    """Plot the quantities of a log against time, to a file: joints left, task axes right."""
     try:
         from matplotlib.figure import Figure
     except ImportError as error:

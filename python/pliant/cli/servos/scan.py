@@ -14,11 +14,11 @@ from pliant.servo.scan import ALL, BAUDRATES, USUAL, ScannedServo, scan
 
 
 def run(*, port: Device = None, baud: int | None = None, deep: bool = False) -> None:
-    """Find servos by asking every id at every usual speed, in both protocols; nothing is written.
+    """Find servos by asking every id at every common baud rate, in both protocols; write nothing.
 
     Args:
         port: Serial port. Default: all ports of this machine.
-        baud: Speed [bit/s]. Default: all usual speeds.
+        baud: Baud rate [bit/s]. Default: all common ones.
         deep: Ask all 253 ids instead of 0 to 40.
     """
     if baud is not None and baud <= 0:

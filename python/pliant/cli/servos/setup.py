@@ -87,7 +87,7 @@ def run(
         name, flags = shlex.quote(arm), override.as_arguments()
         if undo is None:
             backups.save(backup, arm, planned)
-            # Before the first write, so that it is known after an interruption too.
+            # Print the undo command before the first write, in case of an interruption.
             restore = ["pliant servos setup", name, "--undo", shlex.quote(str(backup)), *flags]
             print_line(f"old values in {backup}; this puts them back: {' '.join(restore)}", console)
         _write(ports, specs, planned)

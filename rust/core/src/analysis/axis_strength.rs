@@ -121,8 +121,8 @@ impl<'a> StepAnalysis<'a> {
         from.max(large / slope).min(travel)
     }
 
-    /// Returns the static force [N, N·m] that the torque limits hold along axis `row` if its strength were `max`; the
-    /// other axes keep their strengths.
+    /// Returns the static force [N, N·m] that the torque limits would hold along axis `row` if its strength were `max`;
+    /// the other axes keep their strengths.
     fn capacity_with(&self, row: usize, side: usize, max: f64) -> f64 {
         let mut all = self.record.axis_strength;
         all[row] = max;

@@ -67,7 +67,7 @@ pub struct FeasibilityReport {
     pub path_sigma: Vec<[f64; 2]>,
 }
 
-/// Checks the settings in every posture (n) [rad] of a path, with the arm at rest on its target. Does not change the
+/// Checks the settings in every posture [rad] of a path, with the arm at rest on its target. Does not change the
 /// controller.
 ///
 /// # Errors
@@ -191,7 +191,7 @@ pub fn check_path(controller: &Controller, path: &[Vec<f64>]) -> Result<Feasibil
     })
 }
 
-/// Checks the settings in a pose of the tool, whose joint positions are found by inverse kinematics from `q0` (n)
+/// Checks the settings in a pose of the tool, whose joint positions are found by inverse kinematics from `q0`
 /// [rad]. A pose out of reach is an issue, not an error.
 ///
 /// # Errors

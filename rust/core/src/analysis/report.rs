@@ -121,7 +121,7 @@ pub fn report(controller: &Controller) -> Result<PoseReport> {
     Ok(build_report(controller))
 }
 
-/// Returns the capabilities of the arm at rest on its target at the joint positions `q` (n) [rad]. Does not change the
+/// Returns the capabilities of the arm at rest on its target at the joint positions `q` [rad]. Does not change the
 /// controller.
 ///
 /// # Errors

@@ -20,7 +20,7 @@ const TRACKING_FRICTION_RATIO: f64 = 3.0;
 /// Returns the settings with `soft` of every yielding axis raised to at least three times its static friction (under
 /// law `paper`: to at least that friction), because a softer axis may not track a moving target.
 ///
-/// Uses the largest friction over the postures (n) [rad] of `path`; for an empty path, the median over the arm's joint
+/// Uses the largest friction over the postures [rad] of `path`; for an empty path, the median over the arm's joint
 /// space. Raises `firm` and `hold` where they would be smaller than `soft`.
 ///
 /// # Errors

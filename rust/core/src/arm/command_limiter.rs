@@ -13,19 +13,19 @@ const MAX_GOAL_EXCESS: f64 = 1.0;
 /// Command for the n joints of the chain, and the state of the arm for which it is limited.
 #[derive(Debug, Clone, Copy)]
 pub struct LimiterInput<'a> {
-    /// Requested goals (n) [rad].
+    /// Requested goal of each joint of the chain [rad].
     pub goal: &'a [f64],
-    /// Requested torque limits (n) [N·m].
+    /// Requested torque limit of each joint of the chain [N·m].
     pub torque_limit: &'a [f64],
-    /// Torques that hold the arm against gravity (n) [N·m].
+    /// Torque of each joint of the chain that holds the arm against gravity [N·m].
     pub gravity: &'a [f64],
-    /// Positions of all joints (N) [rad]; NaN where unknown.
+    /// Position of each of the N joints [rad]; NaN where unknown.
     pub position: &'a [f64],
-    /// Goals [rad] and torque limits [N·m] of the joints off the chain (N − n), in the order of the drive.
+    /// Goal [rad] and torque limit [N·m] of each of the N − n joints off the chain, in the order of the drive.
     pub off_chain: &'a [[f64; 2]],
     /// Progress of the ramp from holding torque to usable torque, 0 to 1.
     pub ramp: f64,
-    /// Lower bound of the ramp (n) [N·m].
+    /// Lower bound of the ramp for each joint of the chain [N·m].
     pub ramp_start: &'a [f64],
     /// True if goals may lie beyond the position limits by the lead of the usable torque, to exert a force; false: by
     /// the lead that the gravity torque needs.
@@ -45,14 +45,15 @@ pub struct LimiterInput<'a> {
 /// The limits of the chain are then reduced to the current of the supply, but not below 1.1 |g|.
 #[derive(Debug, Clone)]
 pub struct CommandLimiter {
-    /// Indices of the joints of the chain (n), and of the others (N − n), in the order of the drive.
+    /// Indices of the n joints of the chain, and of the N − n others, in the order of the drive.
     chain: Vec<usize>,
     off_chain: Vec<usize>,
     lower: Vec<f64>,
     upper: Vec<f64>,
-    /// Friction of the joints of the chain (n) [N·m].
+    /// Friction of each joint of the chain [N·m].
     friction: Vec<f64>,
-    /// `max_torque` of the servo table for the chain (n) [N·m], without later reductions; determines the torque margin.
+    /// `max_torque` of the servo table for each joint of the chain [N·m], without later reductions; it determines the
+    /// torque margin.
     rated_torque: Vec<f64>,
     kp: Vec<f64>,
     max_torque: Vec<f64>,
@@ -69,8 +70,8 @@ pub struct CommandLimiter {
 impl CommandLimiter {
     /// Creates the limiter of an arm.
     ///
-    /// `servos` is the table of the chain, `chain` (n) the index of each of its joints in the drive, `kp` (N)
-    /// [N·m/rad] and `max_torque` (N) [N·m] hold stiffness and usable torque of all joints of the drive.
+    /// `servos` is the table of the chain, `chain` the index of each of its n joints in the drive. `kp` [N·m/rad] and
+    /// `max_torque` [N·m] are stiffness and usable torque of each of the N joints of the drive.
     ///
     /// # Errors
     /// [`Error::Shape`] if lengths differ; [`Error::Config`] if an index is beyond N or occurs twice, if the servos do
@@ -119,12 +120,12 @@ impl CommandLimiter {
         self.chain.len()
     }
 
-    /// Returns the indices of the joints of the chain (n), in the order of the drive.
+    /// Returns the indices of the n joints of the chain, in the order of the drive.
     pub fn chain(&self) -> &[usize] {
         &self.chain
     }
 
-    /// Returns the indices of the other joints (N − n), in the order of the drive.
+    /// Returns the indices of the N − n joints off the chain, in the order of the drive.
     pub fn off_chain(&self) -> &[usize] {
         &self.off_chain
     }
@@ -134,8 +135,8 @@ impl CommandLimiter {
         self.kp.len()
     }
 
-    /// Returns the joint whose goal (n) [rad] is farthest outside its limits, if that is so far that its unit is
-    /// probably wrong; else `None`.
+    /// Returns the index of the joint of the chain whose goal [rad] is farthest outside its limits, if that is so far
+    /// that its unit is probably wrong; else `None`.
     pub fn unreachable(&self, goal: &[f64]) -> Option<usize> {
         let mut farthest = (0, f64::NEG_INFINITY);
         for (i, goal) in goal.iter().enumerate().take(self.n()) {
@@ -148,7 +149,7 @@ impl CommandLimiter {
         (farthest.1 > MAX_GOAL_EXCESS + self.max_torque[joint] / self.kp[joint]).then_some(farthest.0)
     }
 
-    /// Returns goals [rad] and torque limits [N·m] to send to all joints (N).
+    /// Returns the goal [rad] and the torque limit [N·m] to send to each of the N joints.
     ///
     /// # Errors
     /// [`Error::Shape`] if a slice has another length than documented; [`Error::OutOfRange`] if a goal, torque limit or
@@ -214,8 +215,7 @@ impl CommandLimiter {
         Ok((&self.goals, &self.limits))
     }
 
-    /// Extends the largest speeds of the chain's joints (n) [rad/s] to all joints (N), of which the others are not
-    /// limited.
+    /// Extends the largest speed of each of the chain's n joints [rad/s] to all N joints; the others are not limited.
     ///
     /// # Errors
     /// [`Error::Shape`] if the length is not n; [`Error::OutOfRange`] if a speed is negative or NaN.
@@ -235,9 +235,8 @@ impl CommandLimiter {
 
     /// Updates the heat of the servos after `dt` [s], from their torques.
     ///
-    /// The torque of a servo is its measured `load` (N) [N·m], where that is finite; else it is estimated from the
-    /// `goal` [rad] and `torque_limit` [N·m] (N) in the servo and from its position (N) [rad]:
-    /// `min(k_p |goal − q|, limit)`.
+    /// The torque of each of the N servos is its measured `load` [N·m], where that is finite; else it is estimated from
+    /// `goal` [rad] and `torque_limit` [N·m] in the servo and from its position [rad]: `min(k_p |goal − q|, limit)`.
     ///
     /// # Errors
     /// [`Error::Shape`] if a slice does not have N entries.

@@ -158,8 +158,8 @@ pub struct HandGuiding {
 }
 
 impl HandGuiding {
-    /// Starts hand guiding from the result of a swing. `servos` gives the assumed k_p; `damping` (n) [N·m·s/rad] is the
-    /// sum of the joints' viscous damping, derivative gain and back-EMF.
+    /// Starts hand guiding from the result of a swing. `servos` gives the assumed k_p; `damping` is the sum of viscous
+    /// damping, derivative gain and back-EMF of each joint [N·m·s/rad].
     ///
     /// # Errors
     /// [`Error::Shape`] if a vector does not have n entries; [`Error::OutOfRange`] for a number that is not finite, or
@@ -229,22 +229,22 @@ impl HandGuiding {
         Ok(guiding)
     }
 
-    /// Returns lower bounds (n), then upper bounds (n) on k_p [N·m/rad], as known so far.
+    /// Returns the lower, then the upper bounds on k_p of the n joints [N·m/rad], as known so far.
     pub fn stiffness(&self) -> [Vec<f64>; 2] {
         [&self.high, &self.low].map(|compliance| compliance[..self.n].iter().map(|c| 1.0 / c).collect())
     }
 
-    /// Returns the play w of each joint in the last tick (n) [rad]: how far the joint may move before its goal follows.
+    /// Returns the play w of each joint in the last tick [rad]: how far the joint may move before its goal follows.
     pub fn play(&self) -> &[f64] {
         &self.play[..self.n]
     }
 
-    /// Returns the filtered joint speeds (n) [rad/s].
+    /// Returns the filtered speed of each joint [rad/s].
     pub fn speed(&self) -> &[f64] {
         &self.speed[..self.n]
     }
 
-    /// Computes goals that follow the arm, and torque limits, for measured positions q (n) [rad]; `dt` is the time
+    /// Computes goals that follow the arm, and torque limits, for measured positions q [rad]; `dt` is the time
     /// since the last step [s].
     ///
     /// # Errors

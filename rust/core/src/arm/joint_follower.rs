@@ -1,8 +1,8 @@
 //! Following of joint targets, of a leader arm or a policy, with the force of the tool bounded along x, y and z.
 //!
 //! The goals follow the targets in joint space, so every joint follows its own target, also near a singular pose. The
-//! torque limits carry the weight and the largest forces F_a along the base axes. Per joint i, with the reference r,
-//! the gravity torque g, the friction ρ, the usable torque τ_max, and the damping d, which includes back-EMF:
+//! torque limits allow for the weight and the largest forces F_a along the base axes. Per joint i, with the reference
+//! r, the gravity torque g, the friction ρ, the usable torque τ_max, and the damping d, which includes back-EMF:
 //!
 //! ```text
 //! r′   = r + s (q_target − r)                          with s ≤ 1 so that tool and joints keep their speed limits
@@ -145,7 +145,7 @@ impl JointFollower {
         Ok(())
     }
 
-    /// Starts again from joint positions q (n) [rad], at rest.
+    /// Starts again from the joint positions q [rad], at rest.
     ///
     /// # Errors
     /// [`Error::Shape`] if q does not have n entries; [`Error::OutOfRange`] if one is not finite.
@@ -155,8 +155,8 @@ impl JointFollower {
         Ok(())
     }
 
-    /// Computes goals and torque limits for measured positions q (n) and targets (n) [rad]; `dt` is the time since the
-    /// last step [s]. Targets are clipped to the position limits.
+    /// Computes goals and torque limits for measured positions q and targets of the n joints [rad]; `dt` is the time
+    /// since the last step [s]. Targets are clipped to the position limits.
     ///
     /// # Errors
     /// [`Error::Shape`] for a vector without n entries; [`Error::OutOfRange`] for a number that is not finite, or `dt`

@@ -9,13 +9,13 @@
 //! So every joint moves in the direction in which its real load pulls it, until the object on which the arm comes to
 //! rest carries the weight. The tool does not rise above its height at the start, and approaches it slowly.
 //! `ℓ* = ∓ (2 τ_f + d |dq|) / k_p` lets a joint press downward with little more than its own friction and damping. The
-//! factor r keeps the speed v of every point of the arm below the allowed speed, and the force of its impact on an object
-//! of stiffness k, `v √(k m)`, below the allowed force; m is the effective mass of the point along its path. u is first
-//! limited to what each joint alone may do. r decreases further if a point is measured above 110 % of its allowed speed,
-//! and is 0 above 150 %.
+//! factor r keeps the speed v of every point of the arm below the allowed speed, and the force of its impact on an
+//! object of stiffness k, `v √(k m)`, below the allowed force; m is the effective mass of the point along its path. u
+//! is first limited to what each joint alone may do. r decreases further if a point is measured above 110 % of its
+//! allowed speed, and is 0 above 150 %.
 //!
-//! In the end the torque limits fall to zero. They rise again while the arm slides, and torque is off only after the arm
-//! has stood still without any.
+//! In the end the torque limits fall to zero. They rise again while the arm slides, and torque may be switched off only
+//! after the arm has stood still with limits of zero.
 //!
 //! If positions no longer arrive, positions computed with the model of the arm replace them.
 
@@ -76,15 +76,17 @@ const RISE_RATE: f64 = 1.0;
 const LIMIT_CHANGE_TIME: f64 = 0.1;
 /// Time constant with which goals slow down if the arm is too fast [s].
 const SLOWDOWN_TIME: f64 = 0.2;
-/// Ratios of measured to allowed speed at which goals begin to slow down, and at which they stop.
+/// Ratio of measured to allowed speed above which goals slow down.
 const BRAKE_START: f64 = 1.1;
+/// Ratio of measured to allowed speed at which goals stop.
 const BRAKE_END: f64 = 1.5;
 /// Increase of the lead above which a joint counts as sinking [rad]; at least two encoder counts are required.
 const SINKING: f64 = 0.004;
 /// Largest increase of the torque limit of a sinking joint, as a multiple of the torque by which its servo resists the
-/// increase of its lead, and the speed from which on it applies [rad/s]. The multiple of a joint that creeps is 1: more
-/// torque would throw it if its lead is larger than its load needs.
+/// increase of its lead.
 const SINKING_GAIN: f64 = 4.0;
+/// Speed from which on a sinking joint has the multiple [`SINKING_GAIN`] [rad/s]. The multiple of a slower joint is
+/// less, down to 1 at rest: more torque would throw the joint if its lead is larger than its load needs.
 const FALLING_SPEED: f64 = 0.2;
 /// Excess of the lead below which a joint counts as unloaded [rad]; 1.5 encoder counts if that is more.
 const ZERO_LEAD: f64 = 0.003;
@@ -122,7 +124,7 @@ const MAX_TICK: f64 = 0.1;
 const MAX_MOTION_TIME: f64 = 0.04;
 /// Change of a position above which it is not rounding error [rad].
 const MIN_CHANGE: f64 = 1e-6;
-/// Largest encoder count that is concluded from changes of position [rad].
+/// Largest angle of an encoder count that is inferred from changes of position [rad].
 const MAX_ENCODER_STEP: f64 = 0.006;
 /// Largest number of entries in a history of positions or goals.
 const HISTORY: usize = 256;
@@ -132,7 +134,7 @@ const HISTORY: usize = 256;
 pub enum LoweringPhase {
     /// Moves toward the rest pose: the goals move at `u = 4/s (q_rest − q)`.
     Rest,
-    /// Descends until no joint carries a load.
+    /// Descends until no joint holds a load.
     Down,
     /// Reduces the limits to zero, and waits until the arm stands still without torque.
     Ramp,
@@ -156,7 +158,7 @@ pub struct LoweringStart<'a> {
     pub speed: f64,
 }
 
-/// Returns the torque margin of each joint beyond its gravity torque (n) [N·m]: the largest of 10 % of the usable
+/// Returns the torque margin of each joint beyond its gravity torque [N·m]: the largest of 10 % of the usable
 /// torque, twice the friction, and 30 % of the gravity torque.
 pub fn torque_margin(servos: &Servos, gravity: &[f64]) -> Vec<f64> {
     let rows = servos.max_torque.iter().zip(&servos.friction).zip(gravity);
@@ -246,7 +248,7 @@ pub struct Lowering {
     lead: JointVec,
     /// |lead| at the last update of the limits [rad].
     lead_size: JointVec,
-    /// Smallest recent |lead| [rad]; it follows a larger |lead| at a distance of two [`SINKING`].
+    /// Smallest recent |lead| [rad]; it rises with |lead|, of which it is at most two [`SINKING`] short.
     least_lead: JointVec,
     /// Measured minus modelled lead [rad]; added to the modelled lead while no positions arrive.
     unmodelled_lead: JointVec,
@@ -388,10 +390,10 @@ impl Lowering {
 
     /// Computes goals, torque limits and speed limits of one tick; `None` if torque can be switched off.
     ///
-    /// `q` (n) [rad] are the last positions, `fresh` (n) marks those that are new; NaN and |q| > 10⁶ rad count as lost.
-    /// `dt` is the time since the last tick [s], `age` the age of the goals that were in force when q was sampled [s].
-    /// Speed limits [rad/s] are finite only while no positions arrive, so that a joint that missed packets does not
-    /// jump to a later goal.
+    /// `q` are the last positions of the n joints [rad], `fresh` marks those that are new; NaN and |q| > 10⁶ rad count
+    /// as lost. `dt` is the time since the last tick [s], `age` the age of the goals that were in force when q was
+    /// sampled [s]. Speed limits [rad/s] are finite only while no positions arrive, so that a joint that missed packets
+    /// does not jump to a later goal.
     ///
     /// # Errors
     /// [`Error::Shape`] if `q` or `fresh` does not have n entries; the state is then unchanged.
@@ -451,7 +453,7 @@ impl Lowering {
     /// Updates goals and torque limits for one tick; a `lost` joint keeps its goal while others have positions.
     ///
     /// Goals move for the time `dt` of one tick, at most [`MAX_MOTION_TIME`], also after ticks without positions, or
-    /// they would jump. What is timed, such as standstills, takes all of the time that has passed.
+    /// they would jump. Timers, such as that of a standstill, advance by all of the time that has passed.
     fn advance(&mut self, dt: f64, lost: &[bool; MAX_JOINTS], speed_limit: &mut JointVec) {
         let (here, gravity) = (self.points.evaluate(&self.q), self.gravity());
         let dt = dt.min(MAX_MOTION_TIME);
@@ -518,7 +520,7 @@ impl Lowering {
             let mut press = 0.0;
             if self.presses {
                 press = (PRESS_RATIO * self.friction[i]).min(MAX_PRESS_FORCE * lever[i]);
-                // What damping takes of the servo's torque does not press on an object.
+                // Add the torque that damping absorbs: it does not press on an object.
                 press += self.damping[i] * (-sign(gravity[i]) * speed[i]).max(0.0);
             }
             let clear = (FULL_PRESS_RATIO * self.friction[i]).max(1e-9);
@@ -608,7 +610,7 @@ impl Lowering {
 
     /// Limits each goal velocity of u [rad/s] to the allowed speed of the points that this joint alone moves.
     ///
-    /// Without it a soft servo, whose lead is large, would leave no share of the speed to a stiff one.
+    /// Without this limit, a soft servo, whose lead is large, would leave no share of the speed to a stiff one.
     fn limit_joint_speeds(&self, here: &ArmGeometry, u: &mut JointVec) {
         let max = self.max_speeds(here, &here.velocity(u));
         for i in 0..self.n {
@@ -717,8 +719,8 @@ impl Lowering {
         self.compared = (self.time, self.q);
     }
 
-    /// Returns true if the descent has taken its longest time and the arm has stopped. Never while positions are
-    /// predicted by the model instead of measured, because the real arm may still hang.
+    /// Returns true if the descent has taken its longest time and the arm has stopped. Returns false while the model
+    /// predicts positions instead of measured ones, because the real arm may still hang.
     fn is_late(&self) -> bool {
         self.time > MAX_DURATION && self.has_stopped && !self.blind
     }
@@ -727,7 +729,7 @@ impl Lowering {
     fn release(&mut self, dt: f64, fastest: f64, lost: &[bool; MAX_JOINTS]) {
         let late = self.is_late();
         if fastest > FALLING && !late {
-            // Otherwise limits that rise would throw the joints back to goals above the falling arm.
+            // Keep the goals near: rising limits would throw the joints back to goals above the falling arm.
             self.keep_goals_near(lost);
             self.enter(LoweringPhase::Down);
             return;

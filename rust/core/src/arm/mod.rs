@@ -2,8 +2,8 @@
 //! measured positions, the limits of commands with the thermal model of the servos, and the registers of servos on a
 //! bus.
 //!
-//! Each is called once per tick and does not allocate in that call. Except for the thermal model and the registers,
-//! they use measured joint positions only.
+//! Each part is called once per tick and does not allocate in that call. Except for the thermal model and the
+//! registers, the parts use measured joint positions only.
 
 mod command_limiter;
 mod hand_guiding;

@@ -32,7 +32,7 @@ pub struct PositionFilter {
 }
 
 impl PositionFilter {
-    /// Creates a filter without positions from the largest speeds of the joints (N) [rad/s].
+    /// Creates a filter without positions from the largest speed of each of the N joints [rad/s].
     ///
     /// # Errors
     /// [`Error::OutOfRange`] if a speed is not finite or negative.
@@ -66,17 +66,17 @@ impl PositionFilter {
         self.rejected.fill(0);
     }
 
-    /// Returns the last accepted positions (N) [rad]; NaN before the first.
+    /// Returns the last accepted position of each joint [rad]; NaN before the first.
     pub fn position(&self) -> &[f64] {
         &self.position
     }
 
-    /// Returns the times at which the accepted positions were sampled (N) [s]; -∞ before the first.
+    /// Returns the time at which the last accepted position of each joint was sampled [s]; −∞ before the first.
     pub fn time(&self) -> &[f64] {
         &self.time
     }
 
-    /// Returns true for the joints whose position the last [`Self::update`] has accepted (N).
+    /// Returns, for each joint, true if the last [`Self::update`] has accepted its position.
     pub fn accepted(&self) -> &[bool] {
         &self.accepted
     }
@@ -86,19 +86,19 @@ impl PositionFilter {
         self.jumps
     }
 
-    /// Returns the number of implausible positions of each joint since its last accepted one (N).
+    /// Returns the number of implausible positions of each joint since its last accepted one.
     pub fn rejected(&self) -> &[u32] {
         &self.rejected
     }
 
-    /// Returns the distance of each joint's latest implausible position from the accepted one (N) [rad]; 0 before the
+    /// Returns the distance of each joint's latest implausible position from the accepted one [rad]; 0 before the
     /// first.
     pub fn jump(&self) -> &[f64] {
         &self.jump
     }
 
-    /// Stores assumed positions (N) [rad] at `time` [s] for the joints that have not been read yet; the first reading
-    /// of each replaces its assumed position, however far it lies from it.
+    /// Stores an assumed position [rad] at `time` [s] for each of the N joints that has not been read yet. The first
+    /// reading of a joint replaces its assumed position, however far it lies from it.
     pub fn assume(&mut self, position: &[f64], time: f64) {
         for i in 0..self.max_speed.len().min(position.len()) {
             if self.last[i] == f64::NEG_INFINITY {
@@ -107,11 +107,11 @@ impl PositionFilter {
         }
     }
 
-    /// Checks the positions (N) [rad] of a reading and stores the plausible ones. Returns a mask (N): true for joints
-    /// whose position was stored.
+    /// Checks the positions [rad] of the N joints in a reading and stores the plausible ones. Returns, for each joint,
+    /// true if its position was stored.
     ///
-    /// `ok` (N) is true for the joints that were read in this cycle; `time` (N) are the sample times [s]. Joints beyond
-    /// the shortest of the slices count as not read.
+    /// `ok` is true for the joints that were read in this cycle; `time` is the sample time of each joint [s]. Joints
+    /// beyond the shortest of the slices count as not read.
     pub fn update(&mut self, position: &[f64], ok: &[bool], time: &[f64]) -> &[bool] {
         self.accepted.fill(false);
         let n = self.max_speed.len().min(position.len()).min(ok.len()).min(time.len());

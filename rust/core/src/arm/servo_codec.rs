@@ -117,9 +117,9 @@ pub struct ServoReading {
 /// Last command that was sent to a servo.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct SentCommand {
-    /// Values of the goal register, `None` before the first command, and of the limit register.
+    /// Value of the goal register; `None` before the first command.
     pub goal: Option<i64>,
-    /// See `goal`.
+    /// Value of the limit register.
     pub limit: i64,
     /// Number of commands so far.
     pub count: u32,
@@ -208,7 +208,7 @@ impl Servo {
         let counts = (units.zero + units.sign * goal / units.count).round_ties_even();
         let [low, high] = units.range;
         let goal = if units.multi_turn > 0.0 {
-            // The range extends to the present position of a servo that stands outside.
+            // If the servo stands outside the range, extend the range to its present position.
             let here = position.map(f64::round_ties_even);
             counts.min(here.map_or(high, |here| high.max(here))).max(here.map_or(low, |here| low.min(here)))
                 - turns * units.turn
@@ -232,9 +232,10 @@ impl Servo {
 /// Result of [`ServoCodec::decode`] for a reading.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Decoded {
-    /// The reading is stored; nothing but its numbers has changed.
+    /// The reading is stored and needs no attention.
     Usual,
-    /// The reading is stored, and its status byte, voltage, temperature or number of turns needs a look.
+    /// The reading is stored and needs attention: status byte or turns are or were not 0, the voltage is too low,
+    /// voltage or temperature has changed, or it is the first reading or follows [`ServoCodec::accept_any`].
     Notable,
     /// The position is implausible, and the reading is not stored.
     Implausible,
@@ -310,8 +311,8 @@ impl ServoCodec {
         Ok(())
     }
 
-    /// Decodes a reading of a servo: a block of bytes from `address` on, and true if the
-    /// status byte is not 0, requested at `time` [s].
+    /// Decodes and stores a reading of a servo: a block of bytes from `address` on, requested at `time` [s].
+    /// `has_status` is true if the status byte of the reply is not 0.
     ///
     /// # Errors
     /// [`Error::OutOfRange`] if there is no such servo; [`Error::Shape`] if the block has no position.
@@ -356,8 +357,8 @@ impl ServoCodec {
         Ok(if is_notable { Decoded::Notable } else { Decoded::Usual })
     }
 
-    /// Returns true unless a block of bytes from `address` on contains the register torque enable, and shows that torque
-    /// is off, or that the first packet of the last command is unknown or is not in the registers.
+    /// Returns false if a block of bytes from `address` on shows that torque is off, or that the registers do not
+    /// contain the first packet of the last command. Returns true if the block lacks the register torque enable.
     ///
     /// # Errors
     /// [`Error::OutOfRange`] if there is no such servo.
@@ -375,8 +376,9 @@ impl ServoCodec {
         self.servos.len()
     }
 
-    /// Returns the readings of all joints (n): angle [rad], NaN before the first; time [s]; velocity [rad/s]; torque [N·m];
-    /// current [A], NaN without such a register; and true for joints whose servos all are among `read`.
+    /// Returns the reading of each of the n joints: angle [rad], NaN before the first; time [s]; velocity [rad/s];
+    /// torque [N·m]; current [A], NaN without such a register. Also returns, for each joint, true if all its servos are
+    /// in `read`.
     ///
     /// A joint with two servos has the angle and the velocity of the first, or the angle of the second while the first
     /// has none; the time of the older reading; the mean of the torques; and the sum of the currents.
@@ -402,7 +404,7 @@ impl ServoCodec {
         (&self.joints, &self.ok)
     }
 
-    /// Checks a command for all joints: goals (n) [rad], torque limits (n) [N·m] and largest speeds (n) [rad/s].
+    /// Checks a command for all n joints: goals [rad], torque limits [N·m] and largest speeds [rad/s].
     ///
     /// # Errors
     /// [`Error::OutOfRange`] if a goal or limit is not finite, a speed is NaN, or a limit or speed is negative.

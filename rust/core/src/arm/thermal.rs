@@ -41,7 +41,7 @@ pub struct ThermalModel {
 }
 
 impl ThermalModel {
-    /// Creates the model of cold servos with the usable torques (N) [N·m] and stall currents (N) [A]; `None`: unknown.
+    /// Creates the model of N cold servos from usable torque [N·m] and stall current [A] of each; `None`: unknown.
     ///
     /// # Errors
     /// [`Error::Config`] if an option is out of range, or if a supply is given and the currents are not known.
@@ -78,7 +78,7 @@ impl ThermalModel {
         &self.heat
     }
 
-    /// Returns the last measured temperatures (N) [°C]; NaN before the first measurement.
+    /// Returns the last measured temperature of each servo [°C]; NaN before the first measurement.
     pub fn temperature(&self) -> &[f64] {
         &self.temperature
     }
@@ -102,7 +102,7 @@ impl ThermalModel {
             || self.temperature.iter().any(|temperature| *temperature >= self.zero_torque_temperature())
     }
 
-    /// Updates the heat after the servos have exerted the torques (N) [N·m] for `dt` [s].
+    /// Updates the heat after each of the N servos has exerted its `torque` [N·m] for `dt` [s].
     ///
     /// A NaN torque counts as the usable torque; a NaN or negative time counts as 0.
     pub fn update(&mut self, torque: &[f64], dt: f64) {
@@ -116,8 +116,8 @@ impl ThermalModel {
         }
     }
 
-    /// Writes the largest torque limits (N) [N·m] that the present heat and temperature allow; an unknown temperature
-    /// reduces nothing.
+    /// Writes to `out` the largest torque limit of each servo [N·m] that the present heat and temperature allow; an
+    /// unknown temperature reduces nothing.
     pub fn torque_ceiling(&self, out: &mut [f64]) {
         for (i, ceiling) in out.iter_mut().enumerate().take(self.heat.len()) {
             let over = ((self.heat[i] - WARM) / (1.0 - WARM)).clamp(0.0, 1.0);
@@ -129,11 +129,11 @@ impl ThermalModel {
         }
     }
 
-    /// Reduces the torque limits `limit` (N) [N·m] to `least + s (limit − least)` with the largest s in [0, 1] for
-    /// which the total current stays within the supply; s = 0 if there is none. Does nothing without a supply limit.
+    /// Reduces the torque `limit` of each servo [N·m] to `least + s (limit − least)` with the largest s in [0, 1] for
+    /// which the total current stays within the supply; s = 0 if no s does. Does nothing without a supply limit.
     ///
-    /// `torque` (N) holds the expected torques without limits, `least` (N) the limits that hold the weight of the arm
-    /// and are never reduced [N·m].
+    /// `torque` is the expected torque of each servo without limits [N·m]; `least` is its limit that holds the weight
+    /// of the arm and is never reduced [N·m].
     pub fn limit_current(&self, torque: &[f64], least: &[f64], limit: &mut [f64]) {
         let (Some(supply), false) = (self.options.supply, self.current_per_torque.is_empty()) else { return };
         let bounded = |i: usize, share: f64, limit: &[f64]| {

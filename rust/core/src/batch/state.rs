@@ -32,7 +32,7 @@ pub(crate) enum Flag {
 pub(crate) enum RowStatus<'a> {
     /// No step has run: the next step resets the arm to its measured positions.
     New,
-    /// The next step resets the arm to these positions (n) [rad].
+    /// The next step resets the arm to these joint positions [rad].
     Reset(&'a [f64]),
     /// The row contains the state after the last step.
     Running,
@@ -100,7 +100,7 @@ impl BatchState {
         self.rows.is_empty()
     }
 
-    /// Resets arm `index`: its next step starts from `q` (`n`) [rad]; `None`: from its measured positions.
+    /// Resets arm `index`: its next step starts from `q` [rad]; `None`: from its measured positions.
     ///
     /// # Errors
     /// [`Error::OutOfRange`] if `index` is too large or `q` is not finite, [`Error::Shape`] for a wrong length of `q`.

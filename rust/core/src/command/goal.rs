@@ -40,7 +40,7 @@ pub(crate) struct JointTargets<J: JointVector> {
     pub(crate) q_goal: J,
     /// Part of the goals that exerts a force; it may exceed the position limits [rad].
     pub(crate) q_force_offset: J,
-    /// Part of the goals that carries gravity [rad].
+    /// Part of the goals that holds the arm against gravity [rad].
     pub(crate) q_gravity_offset: J,
     pub(crate) feed_forward: J,
 }
@@ -139,7 +139,7 @@ fn lead_limit<J: JointVector>(params: &Params, settings: &Settings, limit: J) ->
     }
 }
 
-/// Goals of the servos [rad], and the part of them that carries gravity [rad].
+/// Goals of the servos [rad], and the part of them that holds the arm against gravity [rad].
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Goals<J> {
     pub(crate) goal: J,

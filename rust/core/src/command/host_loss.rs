@@ -90,7 +90,7 @@ impl HostLoss<'_> {
             for i in 0..n {
                 let servos = &self.params.servos;
                 let excess = pull[i] - BaselineF64::clamp_abs(pull[i], self.friction[i]);
-                // A joint that slips at its torque limit has no spring that says how far: its steps grow until it rests.
+                // A joint that slips at its torque limit has no spring that determines its step: double it each time.
                 let slips = (servos.kp[i] * (self.goal[i] - q[i])).abs() >= self.limit[i];
                 stride[i] = if slips && excess * turn[i] > 0.0 { 2.0 * stride[i] } else { 1.0 };
                 turn[i] = stride[i] * excess * servos.compliance[i];

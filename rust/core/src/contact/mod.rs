@@ -1,7 +1,7 @@
 //! Contact estimation with position servos: wrench at the tool, error bound and events.
 //!
-//! The torques of the servos are computed from goals, limits and positions. The external force F balances what gravity
-//! torque g, acceleration, friction τ_f and damping d leave of them:
+//! The torques of the servos are computed from goals, limits and positions. The external force F follows from the
+//! residual of their balance with gravity torque g, acceleration, friction τ_f and damping d:
 //!
 //! `JᵀF = g + M q̈ + τ_f tanh(v/v₀) + d v − clip(k_p (goal − q) − k_v v, ±limit)`
 //!
@@ -36,14 +36,14 @@ const HISTORY: usize = 64;
 pub struct ContactInput<'a> {
     /// Time since the last reading [s]; `None`: 1 / rate of the controller's settings.
     pub dt: Option<f64>,
-    /// Joint velocity (n) [rad/s]; `None`: filtered from the positions.
+    /// Velocity of each joint [rad/s]; `None`: filtered from the positions.
     pub dq: Option<&'a [f64]>,
-    /// Measured torques (n) of the servos [N·m]; `None`: computed from `current`, if given, else from goal, position
+    /// Measured torque of each servo [N·m]; `None`: computed from `current`, if given, else from goal, position
     /// and limit.
     pub load: Option<&'a [f64]>,
-    /// Currents (n) of the motors [A], used if `load` is `None`; needs [`ContactOptions::torque_constant`].
+    /// Current of each motor [A], used if `load` is `None`; needs [`ContactOptions::torque_constant`].
     pub current: Option<&'a [f64]>,
-    /// Goals (n) [rad], then torque limits (n) [N·m] last sent to the servos; `None`: the controller's last command.
+    /// Goals [rad], then torque limits [N·m] last sent to the n servos; `None`: the controller's last command.
     pub sent: Option<[&'a [f64]; 2]>,
 }
 

@@ -30,7 +30,7 @@ pub struct ContactOptions {
     pub inertia_error: f64,
     /// Relative error of a measured load or current.
     pub load_error: f64,
-    /// Joint torque per motor current, gears included (n) [N·m/A]; needed if currents are given.
+    /// Torque per motor current of each joint, gears included [N·m/A]; needed if currents are given.
     pub torque_constant: Option<Vec<f64>>,
     /// Largest plausible force [N] and torque [N·m] of the surroundings. It is the uncertainty along unobservable axes.
     pub max_wrench: [f64; 2],

@@ -47,7 +47,7 @@ struct JointMotion {
 }
 
 impl ContactEstimator {
-    /// Processes one reading `q` (n) [rad]. Call it before the controller's step of the same cycle, while the servos
+    /// Processes one reading `q` [rad]. Call it before the controller's step of the same cycle, while the servos
     /// still follow its last command.
     ///
     /// Allocates nothing. Without measured load or current, the force is 0 and the uncertainty ∞ until the command in
@@ -66,7 +66,7 @@ impl ContactEstimator {
     /// Processes several readings, one after another, and returns the estimate of the last one.
     ///
     /// Gives the numbers of one [`update`](Self::update) per reading, in less time: without thresholds for events, the
-    /// wrench is computed for the last reading only. `q` and the arrays of `input` hold the numbers (n) of one reading
+    /// wrench is computed for the last reading only. `q` and the arrays of `input` hold the n numbers of one reading
     /// after another; those of `sent` are the commands before each reading.
     ///
     /// # Errors
@@ -217,7 +217,7 @@ impl ContactEstimator {
         Ok(())
     }
 
-    /// Returns the error bound (6,) [N, N·m] of an estimate, in the task frame, for the arm at rest at `q` (n) [rad]; ∞
+    /// Returns the error bound (6,) [N, N·m] of an estimate, in the task frame, for the arm at rest at `q` [rad]; ∞
     /// along axes that are not estimated.
     ///
     /// # Errors

@@ -18,17 +18,17 @@ impl Command {
         Self { n, goal, torque_limit, speed_limit }
     }
 
-    /// Returns the goals of the position servos (n) [rad].
+    /// Returns the goal of each position servo [rad].
     pub fn goal(&self) -> &[f64] {
         &self.goal[..self.n.min(MAX_JOINTS)]
     }
 
-    /// Returns the largest torque that each servo may exert in either direction (n) [N·m].
+    /// Returns the largest torque that each servo may exert in either direction [N·m].
     pub fn torque_limit(&self) -> &[f64] {
         &self.torque_limit[..self.n.min(MAX_JOINTS)]
     }
 
-    /// Returns the speeds for the servos' profile velocity registers (n) [rad/s]: the largest speed at which the joint
+    /// Returns the speed for the profile velocity register of each servo [rad/s]: the largest speed at which the joint
     /// alone keeps the tool within its speed limit, but at least `Tracking::goal_slew` and at most the speed limit of
     /// the joint. ∞ if neither tool nor joint has a speed limit.
     pub fn speed_limit(&self) -> &[f64] {

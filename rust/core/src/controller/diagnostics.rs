@@ -95,8 +95,8 @@ impl Diagnostics {
         }
     }
 
-    /// Completes the record of a plain step from that of a step with all parts at the same positions and reference. What
-    /// also depends on the state before the step stays.
+    /// Completes the record of a plain step from that of a full step at the same positions and reference, `whole`.
+    /// Keeps the values that also depend on the state before the step.
     pub(super) fn complete(&mut self, whole: &Self) {
         let Self { velocity, gradient, factors, locked, .. } = *self;
         *self = Self { velocity, gradient, factors, locked, ..*whole };

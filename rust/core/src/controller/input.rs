@@ -12,13 +12,13 @@ use crate::{AxisVec, JointVec};
 pub struct StepInput<'a> {
     /// Time since the last step [s], at most 1; `None`: 1 / rate.
     pub dt: Option<f64>,
-    /// Joint velocity (n) [rad/s]; `None`: filtered from the positions.
+    /// Velocity of each joint [rad/s]; `None`: filtered from the positions.
     pub dq: Option<&'a [f64]>,
     /// Velocity of the target, linear then angular, in base axes [m/s, rad/s]; `None`: not fed forward.
     pub twist: Option<&'a [f64; 6]>,
-    /// Gradient (n) of the user's null-space cost, added to the gradient of the settings' cost.
+    /// Gradient, one entry per joint, of the user's null-space cost, added to the gradient of the settings' cost.
     pub gradient: Option<&'a [f64]>,
-    /// Rest posture for this step (n) [rad]; `None`: that of the settings, or the positions at the last reset.
+    /// Rest posture for this step [rad]; `None`: that of the settings, or the positions at the last reset.
     pub posture: Option<&'a [f64]>,
 }
 

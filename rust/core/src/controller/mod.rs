@@ -108,7 +108,7 @@ impl Controller {
         self.step_impl(q, target, input)
     }
 
-    /// Runs one control step toward the joint positions `q_target` (n) [rad]: their tool pose is the target, and
+    /// Runs one control step toward the joint positions `q_target` [rad]: their tool pose is the target, and
     /// `q_target` is the rest posture.
     ///
     /// # Errors
@@ -211,7 +211,7 @@ impl Controller {
         Ok(())
     }
 
-    /// Resets the state to an arm at rest in `q` (n) [rad]: the goals start there, and `q` is the rest posture unless
+    /// Resets the state to an arm at rest in `q` [rad]: the goals start there, and `q` is the rest posture unless
     /// the settings have one.
     ///
     /// A payload change takes full effect at once; a captured gravity offset stays.
@@ -243,7 +243,7 @@ impl Controller {
         if let Some(compliance) = self.captured {
             params.gravity_compliance = compliance;
         }
-        // The record is that of a step with the previous settings.
+        // Complete the record now: the last step had the previous settings.
         self.diagnostics = self.record();
         // Keep a measured delay unless the new settings change the delay.
         if settings.delay.to_bits() != self.settings.delay.to_bits() {
@@ -315,8 +315,8 @@ impl Controller {
         self.simd_level = simd_level;
     }
 
-    /// Measures the stiffness k_g for the gravity offset on an arm that the goals `goal` (n) [rad] hold still at `q`
-    /// (n) [rad], with [`Tracking::integrate`](crate::params::Tracking::integrate). Returns k_g (n) [N·m/rad].
+    /// Measures the stiffness k_g for the gravity offset on an arm that the goals `goal` [rad] hold still at `q`
+    /// [rad], with [`Tracking::integrate`](crate::params::Tracking::integrate). Returns k_g of each joint [N·m/rad].
     ///
     /// `k_g,i = g_i / (goal_i − q_i)`, clamped to 0.3 to 3 times the configured `k_p`. A joint whose |g_i| is at most
     /// three times its friction, or three times the servo torque of one encoder count, keeps the configured `k_p`. k_g
@@ -425,8 +425,8 @@ impl Controller {
         self.state.limit.map(|_| &self.command)
     }
 
-    /// Returns the record of the last step. After a plain step, a step with all parts at the same positions and
-    /// reference completes it.
+    /// Returns the record of the last step. If that was a plain step, runs a full step of a copy at the same positions
+    /// and reference to complete the record.
     fn record(&self) -> Diagnostics {
         let mut record = self.diagnostics;
         if record.is_partial {
@@ -514,7 +514,7 @@ impl Controller {
     }
 
     /// Creates a controller as [`Controller::new`], without the check that the servos can hold the arm. `captured` is a
-    /// captured compliance 1/k_g (n) [rad/(N·m)].
+    /// captured compliance 1/k_g of each joint [rad/(N·m)].
     #[inline(never)]
     fn build(model: Arc<Model>, settings: Settings, servos: Option<Servos>, captured: Option<&[f64]>) -> Result<Self> {
         let mut joint_space_stats = JointSpaceStats::default();

@@ -18,7 +18,7 @@ pub struct Snapshot {
     pub payload_ramp: Option<[f64; 5]>,
     /// Current delay T_d [s].
     pub delay: f64,
-    /// Compliance 1/k_g of the gravity offset (n) [rad/(N·m)]; `None` if it was not captured.
+    /// Compliance 1/k_g of the gravity offset of each joint [rad/(N·m)]; `None` if it was not captured.
     pub captured: Option<Vec<f64>>,
     /// State between steps; empty before the first step or reset.
     pub state: Vec<f64>,

@@ -18,7 +18,7 @@ pub(crate) struct State {
     pub(crate) gamma: f64,
     /// Goals of the last step [rad], from which the next goals move at a limited speed.
     pub(crate) goal: JointVec,
-    /// Part of the last goals that carries gravity [rad].
+    /// Part of the last goals that holds the arm against gravity [rad].
     pub(crate) gravity_offset: JointVec,
     /// Torque limits of the last step [N·m], from which the next limits rise at a limited rate; `None` before the first
     /// step.

@@ -164,7 +164,7 @@ impl StepContext<'_> {
     /// Runs the step of an arm with more than [`LANES`] joints; compiled once for all instruction sets.
     #[inline(never)]
     fn step_large_arm(&mut self, features: Features) -> bool {
-        // Known to the compiler, which then omits what only a plain step does.
+        // With a constant, the compiler omits the code of plain steps.
         self.step_generic::<JointVec16>(Features { inputs: true, ..features })
     }
 
@@ -260,8 +260,7 @@ impl StepContext<'_> {
             if self.is_stateless {
                 return true;
             }
-            // The step needs no velocity, and its reference is the target: computed and read here, they occupy no
-            // registers before.
+            // Compute velocity and reference only now: the step did not need them, so they occupied no registers.
             (filtered, reference) = (self.filter(features, measured), *self.target);
             governor = ReferenceGovernor::new(reference);
         }

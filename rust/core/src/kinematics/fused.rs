@@ -96,9 +96,9 @@ impl<T: StoreVec3> Visitor<T> for WithMasses<'_> {
 }
 
 impl Chain {
-    /// Computes tool pose, Jacobian and gravity torques at `q`. `weight` is the masses and gravity [m/s²] in base axes;
-    /// `None`: the torques are 0. `any_chain`: the chain may have joints that slide, are geared together or lie beside
-    /// its path.
+    /// Computes tool pose, Jacobian and gravity torques at `q`. `weight` holds the masses, and gravity [m/s²] in base
+    /// axes; `None`: the torques are 0. `any_chain`: the chain may have prismatic or mimic joints, or joints beside its
+    /// path.
     #[inline(always)]
     pub(crate) fn evaluate<J: JointVector>(
         &self,

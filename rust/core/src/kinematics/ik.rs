@@ -75,7 +75,7 @@ impl fmt::Display for IkStatus {
 /// Closest joint positions that the search found, and their errors.
 #[derive(Debug, Clone, PartialEq)]
 pub struct IkResult {
-    /// Joint positions (`n`) [rad or m], inside the limits.
+    /// Position of each joint [rad or m], inside the limits.
     pub q: Vec<f64>,
     /// True if position and rotation error are within their tolerances.
     pub converged: bool,
@@ -90,7 +90,7 @@ pub struct IkResult {
 }
 
 impl Model {
-    /// Searches for joint positions that bring the tool to `target`, starting from `q0` (`n`) [rad or m].
+    /// Searches for joint positions that bring the tool to `target`, starting from the positions `q0` [rad or m].
     ///
     /// The result lies inside the position limits; `q0` is clamped to them first. Continuous joints are not wrapped.
     /// Deterministic. A search that does not converge is not an error: see `converged` and `reason`.

@@ -40,7 +40,7 @@ pub enum Reference {
 }
 
 impl Model {
-    /// Returns `base_from_tool` at `q` (`n`) [rad or m].
+    /// Returns `base_from_tool` at the joint positions `q` [rad or m].
     ///
     /// # Errors
     /// [`Error::Shape`] for a wrong length, [`Error::OutOfRange`] for an entry that is not finite or beyond 1e6.
@@ -77,7 +77,7 @@ impl Model {
         Ok(self.chain().pose_and_rows(SimdLevel::detect(), &self.joint_vector(q)?, reference, rows))
     }
 
-    /// Returns the torques (`n`) [N·m or N] that hold the arm and its payload at rest at `q`.
+    /// Returns the torque of each joint [N·m or N] that holds the arm and its payload at rest at `q`.
     ///
     /// # Errors
     /// As [`Model::forward_kinematics`].

@@ -86,7 +86,7 @@ pub struct ArmPoints {
 impl ArmPoints {
     /// Creates the points of a model: the joints between base and tip, and the tool.
     ///
-    /// `armature` (n) is the inertia of the servos' rotors at the joints [kg·m²].
+    /// `armature` is the rotor inertia of the servo at each of the n joints [kg·m²].
     ///
     /// # Errors
     /// [`Error::Shape`] if `armature` does not have n entries.

@@ -102,7 +102,7 @@ impl Model {
         Error::out_of_range(format!("{name}: distance of position [{x}, {y}, {z}] from {from} [m]"), distance, bound)
     }
 
-    /// Checks that joint positions (`n`) [rad or m] are a plausible target: values far beyond the limits are probably
+    /// Checks that joint positions [rad or m] are a plausible target: values far beyond the limits are probably
     /// in wrong units.
     ///
     /// [`Controller::step_joints`](crate::Controller::step_joints) does this.

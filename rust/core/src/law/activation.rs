@@ -14,7 +14,7 @@ use crate::{AxisVec, JointVec, MAX_AXES, Rows};
 const MIN_SUM: f64 = 1e-100;
 
 /// Sum of `|N∇g|` over the joints [rad] up to which the null-space shares are the row norms of N, because the direction
-/// of so small a gradient is meaningless. They blend into `|N∇g|`, which they are from twice this sum on.
+/// of so small a gradient is meaningless. Up to twice this sum they blend into `|N∇g|`; above, they are `|N∇g|`.
 const GRADIENT_THRESHOLD: f64 = 1e-3;
 
 /// Transposed activation matrix: one row per task axis with the shares of the joints in that axis, and a last row with

@@ -20,7 +20,7 @@ use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct NullSpace<'a, J: JointVector> {
     rows: &'a [J; MAX_AXES],
-    /// Diagonal of D.
+    /// Joint weights, the diagonal of D.
     weight: J,
     /// Factor of `J D Jᵀ + μ²I`.
     factor: Ldlt6,

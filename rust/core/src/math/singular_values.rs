@@ -24,7 +24,7 @@ pub(crate) struct SingularValues {
 
 impl SingularValues {
     pub(crate) fn start() -> Self {
-        // All components are different and not zero, so that no singular vector of a usual arm is orthogonal to both.
+        // All components are different and not zero, so that hardly any arm has a singular vector orthogonal to both.
         let min_vectors = [[0.5, 0.46, 0.42, 0.38, 0.34, 0.3], [0.34, -0.5, 0.46, -0.42, 0.3, -0.38]];
         Self { min_vectors, max_vector: min_vectors[0], smallest: 0.0, largest: 0.0 }
     }

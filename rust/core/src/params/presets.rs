@@ -31,7 +31,7 @@ impl Settings {
     /// Returns law `paper` as published: no gravity model and no limits beyond those of the paper.
     ///
     /// Strengths are torque budgets [N·m] with the defaults soft 0.5, firm = hold = 10; no axis yields by default.
-    /// Limited are only the velocity of each axis, as in the paper, and the joint speeds of the model.
+    /// Only the velocity of each axis, as in the paper, and the joint speeds of the model are limited.
     pub fn paper() -> Self {
         Self {
             law: Law::Paper,

@@ -67,7 +67,7 @@ pub(crate) struct Params {
     pub(crate) k: usize,
     /// Optional parts of the step.
     pub(crate) features: Features,
-    /// True if the step has none of them, and the arm at most [`LANES`] joints.
+    /// True if the step has no optional parts and the arm has at most [`LANES`] joints.
     pub(crate) is_plain: bool,
     pub(crate) law: Law,
     pub(crate) follow: Follow,

@@ -199,8 +199,9 @@ impl ReferenceGovernor {
         self.pose
     }
 
-    /// Takes the velocity of a target that has moved by `moved` in `dt` [s] since the reference was at it, and returns
-    /// true; false and no change if that would exceed the bounds. Gives what [`approach`] would, without its roots.
+    /// Gives a reference that was at its target the velocity of the target, which has moved by `moved` in `dt` [s].
+    /// Returns false and changes nothing if that would exceed the bounds. The result is that of [`approach`], but takes
+    /// less time.
     #[inline(always)]
     fn follows<A: RealOps<Real = f64>>(
         &mut self,
@@ -215,7 +216,7 @@ impl ReferenceGovernor {
             let (now, before) = (scale::<A>(1.0 / dt, &part(moved)), part(&self.velocity));
             let (size, change) = (norm::<A>(&now), sub::<A>(&now, &before));
             let max = acceleration[b] * dt + (self.target_speed[b] - size).max(0.0);
-            // Negated, so that NaN takes the long way, as do blocks without a speed limit, whose velocity stays zero.
+            // Negated, so that NaN is left to `approach`. So are motions without a speed limit, whose velocity is zero.
             if !(size <= speed[b] && speed[b].is_finite() && dot::<A>(&change, &change) <= max * max) {
                 return false;
             }
