@@ -16,6 +16,7 @@ from pliant._core import JointReadings
 from pliant.arm import Arm, Budget, GripperConfig
 from pliant.arm._io import RESUME_READS, ArmIO, JointMap, LowTorqueWarning
 from pliant.arm._messages import MESSAGES, Message
+from pliant.arm._supervisor import Supervisor
 from pliant.arm.gripper import Gripper
 from pliant.drive import ServoStatus
 from pliant.sim import Plant, SimDrive
@@ -527,8 +528,10 @@ def quick(monkeypatch, io):
     def descend(io, rest, rate, is_aborted, *, on_tick, **_):
         arm.descents.append(rest)
         arm._supervisor.heartbeat[0] = 0.0
+        other = Supervisor(lambda: None)
         on_tick(SimpleNamespace(phase="down"))
         assert arm._supervisor.heartbeat[0] > 0.0  # seen by the guardian
+        assert other.heartbeat[0] > 0.0  # seen by the guardian of another arm
         assert arm._supervisor.heartbeat[1] == 0.7
         if arm.error is not None:
             raise arm.error

@@ -30,7 +30,7 @@ from pliant.arm._startup import (
     stiffness_mismatch,
     wait_for_all,
 )
-from pliant.arm._supervisor import Supervisor
+from pliant.arm._supervisor import Supervisor, beat_all
 from pliant.arm._transfer import transfer_weight
 from pliant.arm.gripper import Gripper, check_grippers, make_grippers
 from pliant.arm.thermal import Budget
@@ -381,7 +381,7 @@ class Arm:
         supervisor.heartbeat[1] = self.comm_timeout
 
         def on_tick(lowering: Lowering) -> None:
-            supervisor.beat()
+            beat_all()
             messages.progress(lowering)
             messages.faults()
 
