@@ -14,7 +14,7 @@ from bare_arm import bare_arm
 import pliant
 from pliant.arm import _supervisor
 from pliant.arm._messages import MESSAGES
-from pliant.arm._supervisor import Supervisor, beat_all
+from pliant.arm._supervisor import Supervisor
 
 
 def until(condition):
@@ -47,7 +47,7 @@ def test_silence_is_detected_once_and_raised_at_the_next_call():
 def test_the_guardian_sees_accesses_beats_and_the_timeout():
     supervisor = Supervisor(lambda: None)
     heartbeat, begin = supervisor.heartbeat, time.perf_counter()
-    for act in (supervisor.__exit__, beat_all):
+    for act in (supervisor.__exit__, supervisor.beat):
         heartbeat[0] = 0.0
         supervisor.lock.acquire()
         act()

@@ -8,7 +8,6 @@ import os
 import sys
 import threading
 import time
-import weakref
 from typing import TYPE_CHECKING
 
 from pliant._core import ConfigError, ServoError, ServoTimeoutError
@@ -107,7 +106,6 @@ class Supervisor:
         self._leave, self._last_call = leave, 0.0
         self._done = threading.Event()
         self.heartbeat = private_heartbeat()
-        _SUPERVISORS.add(self)
 
     def __enter__(self) -> None:
         """Take the lock for one access to the drive.
@@ -223,6 +221,10 @@ class Supervisor:
         if done is self._done:
             self.heartbeat[1] = 0.0
 
+    def beat(self) -> None:
+        """Show the guardian that the program runs, without an access to the drive."""
+        self.heartbeat[0] = time.perf_counter()
+
     def _run(self, timeout: float, done: threading.Event) -> None:
         """Take the arm over once the program stalls for `timeout` [s]; return if `done` is set."""
         longest = threading.TIMEOUT_MAX
@@ -251,18 +253,3 @@ class Supervisor:
                 self.reason += f"; while it was being lowered: {error}"
             finally:
                 self.is_leaving = False
-
-
-#: Supervisors of this process.
-_SUPERVISORS: weakref.WeakSet[Supervisor] = weakref.WeakSet()
-
-
-def beat_all() -> None:
-    """Show the guardians of all arms that the program runs, without an access to the drives.
-
-    The guardian of an arm whose descent failed must not kill a program that lowers another arm.
-    """
-    # Another thread may create an arm meanwhile, which ends the iteration; the next call beats.
-    with contextlib.suppress(RuntimeError):
-        for supervisor in _SUPERVISORS:
-            supervisor.heartbeat[0] = time.perf_counter()

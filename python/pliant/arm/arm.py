@@ -15,7 +15,7 @@ import numpy as np
 from pliant._core import ArmPoints, ConfigError, ServoError, ServoFaultError
 from pliant._validation import instance, real
 from pliant.arm._checks import TORQUE_OFF, check_rest, path_obstacle, posture, times
-from pliant.arm._guardian import Guardian, is_available
+from pliant.arm._guardian import Guardian, beat_all, is_available
 from pliant.arm._io import ArmIO
 from pliant.arm._messages import MESSAGES
 from pliant.arm._shutdown import ExitMessages, descend, exit_cause, hold_position
@@ -30,7 +30,7 @@ from pliant.arm._startup import (
     stiffness_mismatch,
     wait_for_all,
 )
-from pliant.arm._supervisor import Supervisor, beat_all
+from pliant.arm._supervisor import Supervisor
 from pliant.arm._transfer import transfer_weight
 from pliant.arm.gripper import Gripper, check_grippers, make_grippers
 from pliant.arm.thermal import Budget
