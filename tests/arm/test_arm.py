@@ -143,6 +143,35 @@ def test_leave_enabled_leaves_torque_on(make, grasp):
     assert arm.drive.enabled.all()
 
 
+def test_an_arm_that_was_left_on_is_lowered_only_after_enable(quick):
+    def leave():
+        quick.leave_enabled()
+
+    def stop():
+        quick.is_down = False
+        quick.lower()
+        quick.is_down = True
+
+    for leave_on in (leave, stop):
+        quick.enable()
+        leave_on()
+        count = len(quick.descents)
+        quick.drive.calls.clear()
+        for lower in (quick.lower, quick.park):
+            with pytest.raises(pliant.ServoError, match=r"arm\.enable\(\).*then arm\.lower\(\)"):
+                lower()
+        assert quick.drive.calls == []
+        quick.enable()
+        quick.lower()
+        assert len(quick.descents) == count + 1
+        quick.lower()  # torque is off: nothing to do
+    quick.enable()
+    quick.leave_enabled()
+    quick.disable_torque()
+    quick.lower()
+    assert len(quick.descents) == count + 1
+
+
 def test_disable_torque_switches_off_at_once(make):
     with make() as arm:
         before = arm.clock.now()

@@ -137,6 +137,8 @@ class Arm:
         #: True from the beginning of a descent until torque is off or was left on deliberately.
         #: If a descent fails, it stays True, and the guardian takes the arm over.
         self._is_unfinished = False
+        #: True while torque is on without control, at the user's request.
+        self._is_left_on = False
         self._exit_message: str | None = None
         #: Threads that `close` waits for once torque is off.
         self._unfinished_threads: list[Thread] = []
@@ -221,7 +223,7 @@ class Arm:
             atexit.register(self._at_exit)
             atexit.register(self._at_exit)
             self._start_guardian()
-            self._is_unfinished = False
+            self._is_unfinished = self._is_left_on = False
             # Accesses to the drive do not restart this timeout until this method returns.
             self._supervisor.heartbeat[1] = ENABLE_TIME
             self._supervisor.owner = os.getpid()
@@ -249,7 +251,7 @@ class Arm:
         If the table blocks the path to the rest pose, the arm descends from the present pose.
 
         Raises:
-            ServoError: The bus is gone, or torque of a joint stayed on.
+            ServoError: The bus is gone, or torque of a joint stayed on, or was left on before.
         """
         self._descend(self.rest_q)
 
@@ -262,7 +264,7 @@ class Arm:
         Raises:
             ConfigError, ShapeError, OutOfRangeError: The pose is not valid, or inside the table;
                 nothing has moved.
-            ServoError: The bus is gone, or torque of a joint stayed on.
+            ServoError: The bus is gone, or torque of a joint stayed on, or was left on before.
         """
         if pose is None and self.rest_q is None:
             raise ConfigError("no pose to park in: arm.park([...]) or connect(..., rest_q=[...])")
@@ -277,10 +279,12 @@ class Arm:
         """Hold the present pose with torque on, also after the program ends.
 
         The servos may overheat, because the thermal budget no longer reduces their limits.
+        `enable` takes the arm over again; `lower` and `park` need that.
         """
         with self._supervisor.exclusive():
             if self.enabled:
                 hold_position(self._io)
+                self._is_left_on = True
                 self._exit_message = self._exit_messages(exit_cause(sys.exception())).left_enabled()
                 self._release()
 
@@ -293,7 +297,7 @@ class Arm:
         with self._supervisor.exclusive(at_once=True):
             try:
                 self.drive.disable(self._io.joints.names)
-                self._is_unfinished = False
+                self._is_unfinished = self._is_left_on = False
             finally:
                 self._release()
 
@@ -346,6 +350,11 @@ class Arm:
             if self._is_unfinished:
                 raise ServoError(
                     "the last descent failed, torque may be ON: arm.enable() takes the arm over"
+                )
+            if self._is_left_on:
+                raise ServoError(
+                    "torque was left ON: arm.enable() takes the arm over, then arm.lower() lowers "
+                    "it; arm.disable_torque() lets it fall"
                 )
             return
         error, signals = sys.exception(), self._signals
@@ -432,6 +441,7 @@ class Arm:
             self._exit_message = messages.lowered(has_signal=has_signal)
         else:
             self._hold()
+            self._is_left_on = True
             self._exit_message = messages.left_enabled(stopped=True)
 
     def _hold(self) -> None:
@@ -518,6 +528,7 @@ class Arm:
                 self._run_descent(self.rest_q, messages)
             else:
                 hold_position(self._io)
+                self._is_left_on = True
                 self._exit_message = messages.left_enabled()
         finally:
             self._supervisor.owner = None
