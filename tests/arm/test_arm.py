@@ -1,7 +1,9 @@
 """The life cycle of an arm: order of commands, exits, off-chain joints, errors."""
 
+import copy
 import logging
 import os
+import pickle
 import signal
 from types import SimpleNamespace
 
@@ -141,6 +143,15 @@ def test_leave_enabled_leaves_torque_on(make, grasp):
     with make(on_exit="leave_enabled") as arm:
         pass
     assert arm.drive.enabled.all()
+
+
+@pytest.mark.parametrize("duplicate", [copy.copy, copy.deepcopy, pickle.dumps])
+def test_an_arm_is_not_copied_but_its_parts_are(make, duplicate):
+    arm = make()
+    for part in (arm.model, arm.servos, pliant.Controller(arm.model, None, arm.servos)):
+        duplicate(part)
+    with pytest.raises(TypeError, match=r"cannot be copied.*can be pickled"):
+        duplicate(arm)
 
 
 def test_an_arm_that_was_left_on_is_lowered_only_after_enable(quick):

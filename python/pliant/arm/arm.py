@@ -8,7 +8,7 @@ import logging
 import math
 import os
 import sys
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, NoReturn
 
 import numpy as np
 
@@ -564,6 +564,18 @@ class Arm:
         """Return model name, number of joints and whether the arm is enabled in one line."""
         state = "" if self.enabled else "not "
         return f"<Arm {self.model.name}, {self.model.n} joints, {state}enabled>"
+
+    def __reduce__(self) -> NoReturn:
+        """Refuse to copy and to pickle: two objects would control the same servos.
+
+        Raises:
+            TypeError: Always.
+        """
+        raise TypeError(
+            "an Arm cannot be copied or pickled, because only one process and object may drive its "
+            "servos: connect in the process that moves the arm, and send positions and goals to "
+            "the others; arm.model, arm.servos and a Controller can be pickled"
+        )
 
     def __enter__(self) -> Arm:
         try:
