@@ -466,6 +466,22 @@ def test_the_announcement_tells_how_to_abort(posted):
         assert f". {way} leaves at once, torque ON" in text
 
 
+def test_a_descent_that_does_not_end_says_rarely_what_it_waits_for(posted, monkeypatch):
+    monkeypatch.setattr(pliant.arm._shutdown, "PROGRESS", 0.0)
+    arm = standing(real_time=True)
+    messages = ExitMessages("arm", arm, None)
+    messages.begin(abort="`kill -9 7` leaves")
+    posted.clear()
+    for seconds in range(100, 300):
+        arm.clock.now = lambda seconds=seconds: seconds
+        messages.progress(SimpleNamespace(phase="down"))
+    reminders = [text for text in posted if "take away the hand" in text]
+    for seconds, text in zip((46, 107, 168), reminders, strict=True):
+        assert f" after {seconds} s," in text
+    assert all(text.endswith("`kill -9 7` leaves at once, torque ON") for text in reminders)
+    assert {posted[text] for text in reminders} == {logging.WARNING}
+
+
 @pytest.mark.parametrize(
     ("gravity", "friction", "expected"),
     [
