@@ -664,6 +664,33 @@ def test_a_slow_bus_and_a_wrong_stiffness_are_warned_of_at_torque_on(quick, monk
     quick.disable_torque()
 
 
+@pytest.mark.parametrize(
+    ("lowest", "expected"),
+    [(6.4, "elbow: too soft"), (6.2, "shoulder_lift was between 6.2 and 7.4 V")],
+)
+def test_a_supply_that_sags_at_torque_on_is_not_taken_for_soft_servos(
+    quick, monkeypatch, lowest, expected
+):
+    def transfer(io, *_):
+        for voltage in (7.4, lowest, 7.3):
+            io._update_status(ServoStatus("shoulder_lift", voltage, 30.0, ()))
+        io._update_status(ServoStatus("elbow_flex", 7.2, 30.0, ()))
+        return np.zeros(5)
+
+    monkeypatch.setattr(pliant.arm.arm, "transfer_weight", transfer)
+    monkeypatch.setattr(pliant.arm.arm, "stiffness_mismatch", lambda *_, **__: "elbow: too soft")
+    quick.enable()
+    quick.disable_torque()
+    ((text, level),) = quick.texts
+    assert expected in text
+    assert level == logging.WARNING
+    quick.texts.clear()
+    monkeypatch.setattr(pliant.arm.arm, "transfer_weight", lambda *_: np.zeros(5))
+    quick.enable()  # what was read before torque on does not count
+    quick.disable_torque()
+    assert [text for text, _ in quick.texts] == ["elbow: too soft"]
+
+
 def test_messages_of_a_real_arm_name_its_ports(quick):
     quick.drive.outlives_program = True
     quick.drive.specs = [SimpleNamespace(port=port) for port in ("left", "left", "right")]

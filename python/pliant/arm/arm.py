@@ -28,6 +28,7 @@ from pliant.arm._startup import (
     initial_commands,
     may_lie_on,
     stiffness_mismatch,
+    supply_sag,
     wait_for_all,
 )
 from pliant.arm._supervisor import Supervisor
@@ -239,7 +240,8 @@ class Arm:
             raise
         self.leads = transfer_weight(io, self._points, start_q, carried, self.rate)
         is_supported = may_lie_on(self.table, self._points, io.q)
-        mismatch = stiffness_mismatch(io, self.leads, is_supported=is_supported)
+        # The leads of a supply that sags would be taken for wrong servos.
+        mismatch = supply_sag(io) or stiffness_mismatch(io, self.leads, is_supported=is_supported)
         for text in filter(None, (displacement(io, start_q), mismatch)):
             MESSAGES.post(text, logging.WARNING)
         io.set_watchdog(self._watchdog)
@@ -574,7 +576,7 @@ class Arm:
         raise TypeError(
             "an Arm cannot be copied or pickled, because only one process and object may drive its "
             "servos: connect in the process that moves the arm, and send positions and goals to "
-            "the others; arm.model, arm.servos and a Controller can be pickled"
+            "the others; its model, its servo parameters and a Controller can be pickled"
         )
 
     def __enter__(self) -> Arm:
