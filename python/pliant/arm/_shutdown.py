@@ -167,6 +167,7 @@ class ExitMessages:
         unknown: Sequence[str] = (),
         *,
         down: bool = False,
+        has_guardian: bool = False,
     ) -> str:
         """Send the message that a descent failed, with error and torque state; return its text.
 
@@ -175,12 +176,17 @@ class ExitMessages:
             on: Joints whose torque is on; None if unknown, because the servos do not answer.
             unknown: Joints whose torque is unknown, and which may be among those in `on`.
             down: True if the arm rests, and torque off failed.
+            has_guardian: True if the guardian tries to lower the arm, once the program has closed
+                it.
         """
         if on is None:
+            again = "start the program again, which takes the arm over"
+            if has_guardian:
+                again = f"its guardian lowers it if that takes less than 30 s, otherwise {again}"
             return self._post(
                 f"{self._name} was not lowered, the bus is gone: servos that have power keep their "
-                "last goal and limit, torque ON. Repair the connection and start the program "
-                "again, which takes the arm over; or support the arm and cut the supply",
+                f"last goal and limit, torque ON. Repair the connection; {again}; or support the "
+                "arm and cut the supply",
                 logging.WARNING,
             )
         on = [name for name in on if name not in unknown]

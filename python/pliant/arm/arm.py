@@ -433,6 +433,7 @@ class Arm:
                 None if is_unknown else self._joints_where("enabled", True),
                 self._joints_where("torque_unknown", False),
                 down=down,
+                has_guardian=self._guardian is not None,
             )
             raise
         if unrestored := self._joints_where("unrestored", False):
