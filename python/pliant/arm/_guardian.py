@@ -148,7 +148,7 @@ _running: weakref.WeakSet[Guardian] = weakref.WeakSet()
 
 
 def beat_all() -> None:
-    """Show the guardians of all arms that the program runs, without an access to the drives.
+    """Show the guardians of this process that the program runs, without an access to the drives.
 
     The guardian of an arm whose descent failed must not kill a program that lowers another arm.
     """

@@ -392,6 +392,7 @@ class Arm:
         supervisor.heartbeat[1] = self.comm_timeout
 
         def on_tick(lowering: Lowering) -> None:
+            supervisor.beat()
             beat_all()
             messages.progress(lowering)
             messages.faults()
