@@ -2,8 +2,8 @@
 
 In random poses of every arm, `pliant.HandGuiding` makes the arm weightless. The program measures
 the drift of the untouched arm in 10 s, the force that guides the arm by hand, and the motion after
-the release. The true k_p is half, one and two times the assumed one; the servos have an encoder
-step of 0.088° and a dead band of 0.06°.
+the release, at rest or in the middle of the motion. The true k_p is half, one and two times the
+assumed one; the servos have an encoder step of 0.088° and a dead band of 0.06°.
 """
 
 from __future__ import annotations
@@ -29,6 +29,8 @@ CREEP = 0.1
 COUNT, DEADBAND = float(np.deg2rad(0.088)), float(np.deg2rad(0.06))
 #: Start and end of the hand's motion, release, and end of the run [s].
 HAND_START, HAND_END, RELEASE, END = 22.0, 24.0, 25.0, 35.0
+#: Release in the middle of the motion [s].
+MOVING_RELEASE = 23.0
 #: Distance by which the hand moves the tool of each arm along y [m].
 DISTANCES = {"arm7": 0.12, "so101": 0.05, "koch": 0.05}
 
@@ -44,6 +46,8 @@ class GuidingResult:
         sag: Largest displacement of the tool from its position at the release, within 10 s [m].
         later: Largest displacement of the tool from its position 1 s after the release, within the
             9 s that follow [m].
+        swing: Largest displacement of the tool back from the point farthest from the release,
+            within the rest of these 10 s [m].
     """
 
     idle: float
@@ -51,10 +55,17 @@ class GuidingResult:
     led: float
     sag: float
     later: float
+    swing: float
 
 
 def guide(
-    name: str, pose: int, kp_scale: float, *, known: bool = False, creep: float = CREEP
+    name: str,
+    pose: int,
+    kp_scale: float,
+    *,
+    known: bool = False,
+    creep: float = CREEP,
+    release: float = RELEASE,
 ) -> GuidingResult:
     """Run an arm under hand guiding: untouched for 10 s, then moved along y and released.
 
@@ -64,11 +75,12 @@ def guide(
         kp_scale: True over assumed stiffness k_p of the servos.
         known: True if the servo table states that k_p is known.
         creep: Creep speed of joints held by friction, relative to MuJoCo's default.
+        release: Time at which the hand lets go [s].
     """
     arm = load(name)
     q = arm.poses(pose + 1)[pose]
     distance = DISTANCES.get(name, 0.05)
-    course = ForceProfile(start=HAND_START, rise=HAND_END - HAND_START, end=RELEASE)
+    course = ForceProfile(start=HAND_START, rise=HAND_END - HAND_START, end=release)
     hand = Drag(axis="y", distance=distance, stiffness=2000.0, limit=60.0, at="tool", course=course)
     table = arm.servos.replace(encoder_step=COUNT, stiffness_known=known)
     plant = Plant(
@@ -100,17 +112,27 @@ def guide(
             np.linalg.norm(position[window] - position[np.searchsorted(time, origin)], axis=1).max()
         )
 
-    is_leading = (time > HAND_START + 0.5) & (time <= HAND_END)
+    is_leading = (time > HAND_START + 0.5) & (time <= min(HAND_END, release))
+    after = position[(time > release) & (time <= release + 10.0)]
+    start = int(np.argmax(np.linalg.norm(after - position[np.searchsorted(time, release)], axis=1)))
     return GuidingResult(
         idle=farthest(ready, 10.0, ready),
         force=float(np.median(forces[is_leading])),
-        led=farthest(HAND_START, RELEASE - HAND_START, HAND_START),
-        sag=farthest(RELEASE, 10.0, RELEASE),
-        later=farthest(RELEASE + 1.0, 9.0, RELEASE + 1.0),
+        led=farthest(HAND_START, release - HAND_START, HAND_START),
+        sag=farthest(release, 10.0, release),
+        later=farthest(release + 1.0, 9.0, release + 1.0),
+        swing=float(np.linalg.norm(after[start:] - after[start], axis=1).max()),
     )
 
 
-def main(*, arm: program.Arms = (), poses: int = 20, jobs: int = 2, creep: float = CREEP) -> None:
+def main(
+    *,
+    arm: program.Arms = (),
+    poses: int = 20,
+    jobs: int = 2,
+    creep: float = CREEP,
+    moving: bool = False,
+) -> None:
     """Measure hand guiding; print median / 95th percentile / largest value over the poses.
 
     Args:
@@ -118,10 +140,12 @@ def main(*, arm: program.Arms = (), poses: int = 20, jobs: int = 2, creep: float
         poses: Number of random poses per arm.
         jobs: Number of processes.
         creep: Creep speed of joints held by friction, relative to MuJoCo's default.
+        moving: True: the hand lets go in the middle of its motion, not at rest.
     """
+    release = MOVING_RELEASE if moving else RELEASE
     cases = [(name, kp) for name in arm or tuple(DISTANCES) for kp in (0.5, 1.0, 2.0)]
     work = [
-        Job(f"{name} {kp} {pose}", guide, (name, pose, kp), {"creep": creep})
+        Job(f"{name} {kp} {pose}", guide, (name, pose, kp), {"creep": creep, "release": release})
         for name, kp in cases
         for pose in range(poses)
     ]
@@ -134,16 +158,25 @@ def main(*, arm: program.Arms = (), poses: int = 20, jobs: int = 2, creep: float
         "force to lead [N]",
         "after release [mm]",
         "from 1 s on [mm]",
+        "swings back [mm]",
     )
     rows = []
     for name, kp in cases:
         runs = [outcomes[f"{name} {kp} {pose}"] for pose in range(poses)]
-        idle, force, sag, later = (
+        idle, force, sag, later, swing = (
             scale * np.array([getattr(run, figure) for run in runs])
-            for figure, scale in (("idle", 1e3), ("force", 1.0), ("sag", 1e3), ("later", 1e3))
+            for figure, scale in (
+                ("idle", 1e3),
+                ("force", 1.0),
+                ("sag", 1e3),
+                ("later", 1e3),
+                ("swing", 1e3),
+            )
         )
         share = f"{100.0 * float(np.mean(idle < 2.0)):.0f}"
-        rows.append((name, f"{kp:g}", _spread(idle), share, *map(_spread, (force, sag, later))))
+        rows.append(
+            (name, f"{kp:g}", _spread(idle), share, *map(_spread, (force, sag, later, swing)))
+        )
     print(program.markdown(columns, rows))
 
 

@@ -17,7 +17,17 @@ from experiments import controllers, goals, program
 from experiments.runner import Job, run_by_key
 from experiments.simulation import Conditions
 from pliant import identify, robots
-from pliant.sim import DRAG_15N, DRAG_80N, MX64, MX106, STS3215, Friction, Plant
+from pliant.sim import (
+    DRAG_15N,
+    DRAG_80N,
+    MX64,
+    MX106,
+    STS3215,
+    ForceProfile,
+    Friction,
+    Plant,
+    Push,
+)
 from pliant.sim.postures import VERTICAL
 
 if TYPE_CHECKING:
@@ -34,6 +44,8 @@ STARTS = {
 }
 #: Payload that each arm can lift [kg].
 LIFTS = {"arm7": 0.3, "so101": 0.3, "koch": 0.05}
+#: Horizontal force at the tool of each arm, along y of the base [N].
+FORCES = {"arm7": 5.0, "so101": 2.0, "koch": 0.5}
 CENTRE = (0.02, 0.01, 0.05)  # [m]
 COUNT, DEADBAND = np.deg2rad(0.088), np.deg2rad(0.06)
 GEARS = {
@@ -42,7 +54,8 @@ GEARS = {
     "koch": STS3215,
 }
 #: Options of the simulated arm by name of the case. `lift` is the payload as a share of `LIFTS`,
-#: and `gears` selects the friction `GEARS`; the other options are those of `pliant.sim.Plant`.
+#: `gears` selects the friction `GEARS`, `force` the force `FORCES`; the other options are those of
+#: `pliant.sim.Plant`.
 CASES: dict[str, dict[str, Any]] = {
     "as the table": {},
     "k_p × 0.8": {"kp_scale": 0.8},
@@ -56,6 +69,7 @@ CASES: dict[str, dict[str, Any]] = {
     "payload, a third": {"lift": 1 / 3},
     "payload": {"lift": 1.0},
     "dead band 0.06°": {"deadband": DEADBAND},
+    "force at the tool": {"force": True},
     "gears as they are": {"gears": True},
     "several at once": {
         "kp_scale": 0.8,
@@ -115,6 +129,9 @@ def plant(arm: str, case: str, rate: float = 100.0) -> Plant:
         options["payload"] = (lift * LIFTS[arm], CENTRE)
     if gears:
         options["friction"] = GEARS[arm]
+    if options.pop("force", False):
+        course = ForceProfile(start=0.0, rise=0.5, end=np.inf)
+        options["scene"] = [Push(force_vector=(0.0, FORCES[arm], 0.0), course=course)]
     out = Plant(robots.load(arm), encoder_step=COUNT, rate=rate, **options)
     out.reset(STARTS[arm])
     return out

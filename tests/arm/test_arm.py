@@ -1,7 +1,9 @@
 """The life cycle of an arm: order of commands, exits, off-chain joints, errors."""
 
+import copy
 import logging
 import os
+import pickle
 import signal
 from types import SimpleNamespace
 
@@ -14,8 +16,10 @@ import pliant
 import pliant.arm.arm
 from pliant._core import JointReadings
 from pliant.arm import Arm, Budget, GripperConfig
+from pliant.arm._guardian import _running
 from pliant.arm._io import RESUME_READS, ArmIO, JointMap, LowTorqueWarning
 from pliant.arm._messages import MESSAGES, Message
+from pliant.arm._supervisor import Supervisor
 from pliant.arm.gripper import Gripper
 from pliant.drive import ServoStatus
 from pliant.sim import Plant, SimDrive
@@ -139,6 +143,44 @@ def test_leave_enabled_leaves_torque_on(make, grasp):
     with make(on_exit="leave_enabled") as arm:
         pass
     assert arm.drive.enabled.all()
+
+
+@pytest.mark.parametrize("duplicate", [copy.copy, copy.deepcopy, pickle.dumps])
+def test_an_arm_is_not_copied_but_its_parts_are(make, duplicate):
+    arm = make()
+    for part in (arm.model, arm.servos, pliant.Controller(arm.model, None, arm.servos)):
+        duplicate(part)
+    with pytest.raises(TypeError, match=r"cannot be copied.*can be pickled"):
+        duplicate(arm)
+
+
+def test_an_arm_that_was_left_on_is_lowered_only_after_enable(quick):
+    def leave():
+        quick.leave_enabled()
+
+    def stop():
+        quick.is_down = False
+        quick.lower()
+        quick.is_down = True
+
+    for leave_on in (leave, stop):
+        quick.enable()
+        leave_on()
+        count = len(quick.descents)
+        quick.drive.calls.clear()
+        for lower in (quick.lower, quick.park):
+            with pytest.raises(pliant.ServoError, match=r"arm\.enable\(\).*then arm\.lower\(\)"):
+                lower()
+        assert quick.drive.calls == []
+        quick.enable()
+        quick.lower()
+        assert len(quick.descents) == count + 1
+        quick.lower()  # torque is off: nothing to do
+    quick.enable()
+    quick.leave_enabled()
+    quick.disable_torque()
+    quick.lower()
+    assert len(quick.descents) == count + 1
 
 
 def test_disable_torque_switches_off_at_once(make):
@@ -517,6 +559,14 @@ def test_an_arm_is_resumed_with_the_commands_in_its_registers(io):
     assert not io.resume_silent()
 
 
+class Watching:
+    """Guardian of an arm of this program, without a process of its own."""
+
+    def __init__(self, supervisor):
+        self._supervisor = supervisor
+        _running.add(self)
+
+
 @pytest.fixture
 def quick(monkeypatch, io):
     """Return an arm whose torque comes on, and whose descent ends, at once; record its messages."""
@@ -527,8 +577,10 @@ def quick(monkeypatch, io):
     def descend(io, rest, rate, is_aborted, *, on_tick, **_):
         arm.descents.append(rest)
         arm._supervisor.heartbeat[0] = 0.0
+        other = Watching(Supervisor(lambda: None))
         on_tick(SimpleNamespace(phase="down"))
         assert arm._supervisor.heartbeat[0] > 0.0  # seen by the guardian
+        assert other._supervisor.heartbeat[0] > 0.0  # seen by the guardian of another arm
         assert arm._supervisor.heartbeat[1] == 0.7
         if arm.error is not None:
             raise arm.error
@@ -611,6 +663,33 @@ def test_a_slow_bus_and_a_wrong_stiffness_are_warned_of_at_torque_on(quick, monk
     ]
     assert {level for _, level in quick.texts} == {logging.WARNING}
     quick.disable_torque()
+
+
+@pytest.mark.parametrize(
+    ("lowest", "expected"),
+    [(6.4, "elbow: too soft"), (6.2, "shoulder_lift was between 6.2 and 7.4 V")],
+)
+def test_a_supply_that_sags_at_torque_on_is_not_taken_for_soft_servos(
+    quick, monkeypatch, lowest, expected
+):
+    def transfer(io, *_):
+        for voltage in (7.4, lowest, 7.3):
+            io._update_status(ServoStatus("shoulder_lift", voltage, 30.0, ()))
+        io._update_status(ServoStatus("elbow_flex", 7.2, 30.0, ()))
+        return np.zeros(5)
+
+    monkeypatch.setattr(pliant.arm.arm, "transfer_weight", transfer)
+    monkeypatch.setattr(pliant.arm.arm, "stiffness_mismatch", lambda *_, **__: "elbow: too soft")
+    quick.enable()
+    quick.disable_torque()
+    ((text, level),) = quick.texts
+    assert expected in text
+    assert level == logging.WARNING
+    quick.texts.clear()
+    monkeypatch.setattr(pliant.arm.arm, "transfer_weight", lambda *_: np.zeros(5))
+    quick.enable()  # what was read before torque on does not count
+    quick.disable_torque()
+    assert [text for text, _ in quick.texts] == ["elbow: too soft"]
 
 
 def test_messages_of_a_real_arm_name_its_ports(quick):

@@ -23,6 +23,7 @@ import pliant
 import pliant.arm.arm
 from pliant._core import SUPPORT, torque_margin
 from pliant.arm import _shutdown
+from pliant.arm._guardian_process import OPEN_TIME
 from pliant.arm._messages import LOGGER, MESSAGES, MessageQueue, _is_enabled
 from pliant.arm._shutdown import ExitMessages, descend, exit_cause, hold_position
 
@@ -466,6 +467,22 @@ def test_the_announcement_tells_how_to_abort(posted):
         assert f". {way} leaves at once, torque ON" in text
 
 
+def test_a_descent_that_does_not_end_says_rarely_what_it_waits_for(posted, monkeypatch):
+    monkeypatch.setattr(pliant.arm._shutdown, "PROGRESS", 0.0)
+    arm = standing(real_time=True)
+    messages = ExitMessages("arm", arm, None)
+    messages.begin(abort="`kill -9 7` leaves")
+    posted.clear()
+    for seconds in range(100, 300):
+        arm.clock.now = lambda seconds=seconds: seconds
+        messages.progress(SimpleNamespace(phase="down"))
+    reminders = [text for text in posted if "take away the hand" in text]
+    for seconds, text in zip((46, 107, 168), reminders, strict=True):
+        assert f" after {seconds} s," in text
+    assert all(text.endswith("`kill -9 7` leaves at once, torque ON") for text in reminders)
+    assert {posted[text] for text in reminders} == {logging.WARNING}
+
+
 @pytest.mark.parametrize(
     ("gravity", "friction", "expected"),
     [
@@ -521,6 +538,14 @@ def test_a_failed_descent_names_joints_that_may_have_torque(posted, on, unknown,
     text = ExitMessages("arm", standing(), None).failed(ValueError("why"), on, unknown, down=down)
     assert expected in text
     assert posted == {text: logging.WARNING}
+
+
+@pytest.mark.parametrize("has_guardian", [False, True])
+def test_the_message_of_a_lost_bus_tells_of_the_guardian(posted, has_guardian):
+    messages = ExitMessages("arm", standing(), None)
+    text = messages.failed(ValueError("why"), None, has_guardian=has_guardian)
+    assert "start the program again, which takes the arm over" in text
+    assert (f"guardian lowers it if that takes less than {OPEN_TIME:.0f} s" in text) is has_guardian
 
 
 def test_joints_with_registers_of_this_program_are_named(posted):

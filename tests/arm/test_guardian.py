@@ -327,6 +327,30 @@ def test_the_guardian_lowers_the_arm_after_a_descent_that_failed(bus, begin):
 
 
 @full
+def test_the_guardian_of_a_lost_arm_does_not_kill_a_program_that_lowers_another(
+    bus, begin, tmp_path
+):
+    with guardian.emulator("so101", guardian.ARMS["so101"]) as other_bus:
+        program, pid = begin(f"""
+            other = pliant.connect({str(tmp_path / "arm.toml")!r}, port={other_bus.port!r})
+            with arm, other:
+                print("holds", flush=True)
+                for ticks in zip(pliant.Loop(arm), pliant.Loop(other)):
+                    for tick in ticks:
+                        tick.skip()
+        """)
+        assert program.stdout.readline() == "holds\n"
+        bus.call("pull")
+        assert program.wait() == 1  # by the error of the lost bus
+        assert not other_bus.call("recorder.has_torque")
+        bus.call("put_back")
+        _, stderr = program.communicate()
+        assert "was not lowered, the bus is gone" in stderr
+        assert wait_for(pid)
+        assert not bus.call("recorder.has_torque")
+
+
+@full
 def test_an_arm_enabled_again_is_guarded_again(bus, begin):
     program, pid = begin(f"arm.lower()\narm.enable()\n{HOLD}")
     assert program.stdout.readline() == "holds\n"

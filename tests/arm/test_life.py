@@ -72,6 +72,7 @@ class Life(RuleBasedStateMachine):
             plant.reset(LOW)
             self.arms.append(pliant.arm.Arm(plant.model, SimDrive(plant)))
         self.on = [False] * len(self.arms)
+        self.left_on = [False] * len(self.arms)
 
     def descend(self, io, rest_q, rate, is_aborted, **_):
         """Replace a descent by a wait of `ITERATIONS` iterations, in which signals arrive."""
@@ -99,12 +100,16 @@ class Life(RuleBasedStateMachine):
         if not self.on[index]:
             self.last = (0, -10.0)
         self.arms[index].enable()
-        self.on[index] = True
+        self.on[index], self.left_on[index] = True, False
 
     @rule(data=st.data(), verb=st.sampled_from(["leave_enabled", "disable_torque", "close"]))
     def leave(self, data, verb):
         index = self.which(data)
         getattr(self.arms[index], verb)()
+        if verb == "leave_enabled":
+            self.left_on[index] |= self.on[index]
+        elif verb == "disable_torque":
+            self.left_on[index] = False
         self.on[index] = False
 
     @rule(
@@ -124,6 +129,8 @@ class Life(RuleBasedStateMachine):
         else:
             kind, is_stopped, self.during = None, False, []
         drive_on = arm.drive.enabled.any()
+        if self.left_on[index]:
+            kind = pliant.ServoError
 
         def run():
             arm.park(LOW) if park else arm.lower()
@@ -135,6 +142,7 @@ class Life(RuleBasedStateMachine):
                 run()
         if self.on[index]:
             assert arm.drive.enabled.any() == is_stopped
+            self.left_on[index] = is_stopped
         else:
             assert arm.drive.enabled.any() == drive_on
         self.on[index] = False
@@ -192,15 +200,24 @@ class Life(RuleBasedStateMachine):
             run()
         assert not any(arm.drive.enabled.any() for arm in self.arms)
         self.last = (number, self.time)
-        self.on = [False, False]
+        self.on, self.left_on = [False, False], [False, False]
 
     @rule(data=st.data())
     def lower_elsewhere(self, data):
         """Lower one arm in another thread; signals in the main thread affect the other arms."""
         index = self.which(data)
-        thread = threading.Thread(target=self.arms[index].lower)
+        arm, errors = self.arms[index], []
+
+        def lower():
+            try:
+                arm.lower()
+            except pliant.ServoError as error:
+                errors.append(error)
+
+        thread = threading.Thread(target=lower)
         thread.start()
         thread.join()
+        assert bool(errors) is self.left_on[index]
         self.on[index] = False
 
     @invariant()

@@ -140,6 +140,19 @@ def test_a_line_that_loses_most_readings_delays_the_end_of_a_descent_only(robot,
     assert run.after < 0.1
 
 
+def test_an_arm_that_a_hand_moves_to_and_fro_is_not_released(model, grasp):
+    """Its positions repeat every 2 s, so they are the same after the 10 s of a stopped arm."""
+
+    def reading(tick):
+        q = grasp.copy()
+        q[0] += 0.2 * np.sin(np.pi * 0.01 * tick)
+        return q
+
+    _, orders = descend(model, grasp, reading, ticks=6000)
+    assert len(orders) == 6000
+    assert {phase for phase, *_ in orders} == {"down"}
+
+
 def test_every_command_is_finite_for_any_reading(model, grasp):
     rng = np.random.default_rng(0)
     hostile = np.array([np.nan, np.inf, -np.inf, 1e300, 0.0])

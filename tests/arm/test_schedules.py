@@ -18,7 +18,7 @@ import os
 import random
 import signal
 import sys
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -696,7 +696,9 @@ class Story:
             world.is_left_enabled |= event == "leave_enabled()"
             if event == "disable_torque()":
                 world.hardware.periods_left = 0
-            getattr(arm, event.removesuffix("()"))()
+            # `lower` of an arm that was left on is an error.
+            with suppress(pliant.ServoError) if self._state == "left on" else nullcontext():
+                getattr(arm, event.removesuffix("()"))()
         else:
             number = INT if event.startswith("Ctrl-C") else TERM
             world.scheduler.pending.append(number)

@@ -196,6 +196,8 @@ def test_only_an_identified_stiffness_is_written(so101, monkeypatch, unsure):
         sigma=dict.fromkeys(value, zeros) | {"kp": sigma},
         payload=np.zeros(4),
         payload_covariance=np.eye(4),
+        force=np.zeros(2),
+        force_covariance=np.eye(2),
         sigma_reduction=np.zeros(4),
         residual_ratio=1.0,
         rows=100,

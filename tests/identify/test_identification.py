@@ -7,7 +7,7 @@ from mismatch import Mismatch, Parameters
 import pliant
 from experiments import identification as experiment
 from pliant import identify, robots
-from pliant.sim import Plant
+from pliant.sim import ForceProfile, Plant, Push
 
 #: Largest errors: k_p of joints with and without gravity, friction, damping [1]; delay [s].
 BANDS = (0.06, 0.15, 0.22, 0.25, 2.5e-3)  # measured 0.037, 0.133, 0.17, 0.20, 0.0018
@@ -30,7 +30,7 @@ TRUE_PARAMETERS = {
     "several at once": {"kp": 0.8, "friction": 1.3, "delay": 0.02, "lift": 2 / 3},
 }
 #: Cases in which the assumed parameters are true.
-AS_ASSUMED = {"as the table", "dead band 0.06°"}
+AS_ASSUMED = {"as the table", "dead band 0.06°", "force at the tool"}
 
 
 def identify_case(arm, case):
@@ -97,6 +97,42 @@ def test_an_identified_table_brings_drag_and_door_back_to_nominal():
         if "angle" not in figure:
             assert identified[figure] <= 1.15 * nominal + 0.1, figure
     assert assumed["15 N hand: force [N]"] > 1.5 * identified["15 N hand: force [N]"]
+
+
+def identify_pushed(arm, force):
+    """Identify an arm with a constant force (3,) [N] at the tool; return the result and k_p."""
+    push = Push(force_vector=force, course=ForceProfile(start=0.0, rise=0.5, end=np.inf))
+    model = robots.load(arm)
+    with Mismatch(plant=Parameters(kp=1.25), assumed=Parameters()) as gap:
+        plant = gap.build(model, scene=[push], encoder_step=experiment.COUNT)
+        plant.reset(experiment.STARTS[arm])
+        found = identify.identify_servos(plant, model, experiment.initial_table(model))
+    return found, found.servos.kp / plant.gains.kp
+
+
+@pytest.mark.parametrize(
+    ("arm", "force"),
+    [
+        ("so101", (-2.0, 0.0, 0.0)),
+        pytest.param("koch", (0.5, 0.0, 0.0), marks=pytest.mark.full),
+    ],
+)
+def test_a_constant_force_at_the_tool_is_not_taken_for_stiffness(arm, force):
+    found, kp = identify_pushed(arm, force)
+    known = found.stiffness_known
+    assert known[1:4].all()
+    assert np.abs(kp[known] - 1.0).max() < 0.1
+    size = np.linalg.norm(force)
+    np.testing.assert_allclose(found.tool_force, force, atol=0.15 * size)
+    assert "a horizontal force of" in str(found)
+
+
+def test_a_force_that_lifts_the_tool_is_reported():
+    found, kp = identify_pushed("so101", (0.0, 0.0, 2.0))
+    assert np.abs(kp - 1.0).max() < 0.1
+    assert not found.payload.found
+    assert "kg lighter than in the model" in str(found)
+    assert "horizontal force" not in str(found)
 
 
 def test_the_result_makes_a_controller():

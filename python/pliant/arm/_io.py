@@ -258,6 +258,8 @@ class ArmIO:
         # Read-only arrays (N,): states hold views of them, so a change creates a new array.
         self._voltage = self._temperature = _with_entry(np.full(size, np.nan), 0, np.nan)
         self._set_supply()
+        #: Lowest and highest voltage of each joint (2, N) since `start` [V]; NaN before a reading.
+        self.voltage_range: Array = np.full((2, size), np.nan)
         # Last status by joint name.
         self._statuses: dict[str, ServoStatus] = {}
         self._reported: dict[str, tuple[str, ...]] = {}
@@ -552,6 +554,7 @@ class ArmIO:
         Raises:
             ServoError: A joint moved when torque came on, or its servo did not confirm.
         """
+        self.voltage_range.fill(np.nan)
         usable = self._usable[self.joints.chain]
         goals, self._limits = self._in_drive_order(goal, np.minimum(limit, usable))
         self._goals, self._is_sent = goals, True
@@ -627,6 +630,8 @@ class ArmIO:
         """Store voltage [V] and temperature [°C] of a joint; None keeps the last value."""
         if voltage is not None:
             self._voltage = _with_entry(self._voltage, index, voltage)
+            low, high = self.voltage_range
+            low[index], high[index] = np.fmin(low[index], voltage), np.fmax(high[index], voltage)
         if temperature is not None:
             self.thermal.set_temperature(index, temperature + self._extra_heat[index])
             self._temperature = _with_entry(self._temperature, index, temperature)

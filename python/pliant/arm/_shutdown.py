@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 
 #: Shortest time between two progress messages of a descent, the lowering of the arm [s].
 PROGRESS = 1.0
+#: Duration of a descent from which on a message tells what it waits for, and time between two such
+#: messages [s]; by then, an arm that stands still has been released.
+LONG_DESCENT, REMINDER_PERIOD = 45.0, 60.0
 #: Minimum rate of the control loop of a descent [Hz]; a slow bus may still make it slower.
 MIN_RATE = 20.0
 #: Smallest gravity torque with which a message names a joint as loaded [N·m].
@@ -64,6 +67,8 @@ class ExitMessages:
         self._detail = logging.INFO if is_real else logging.DEBUG
         self._start_time, self._last_progress = io.clock.now(), time.monotonic()
         self._start_height: float | None = None
+        self._next_reminder = LONG_DESCENT
+        self._abort = "Ctrl-C twice leaves"
         self._known_faults: set[str] | None = None
         # Beginnings of the texts of new faults, the joints' names, by the remainder of the texts.
         self._new_faults: dict[str, list[str]] = {}
@@ -76,10 +81,12 @@ class ExitMessages:
             abort: Beginning of the sentence that tells how to abort; None: by Ctrl-C.
         """
         why = "" if self._cause is None else f" ({self._cause})"
-        if abort is None:
-            abort = "Ctrl-C again leaves" if interrupted else "Ctrl-C twice leaves"
+        if abort is not None:
+            self._abort = abort
+        elif interrupted:
+            self._abort = "Ctrl-C again leaves"
         return MESSAGES.post(
-            f"{self._name} is being lowered{why}. {abort} at once, torque ON", self._level
+            f"{self._name} is being lowered{why}. {self._abort} at once, torque ON", self._level
         )
 
     def begin_again(self) -> Message:
@@ -91,7 +98,10 @@ class ExitMessages:
         )
 
     def progress(self, lowering: Lowering) -> None:
-        """Send a message about the progress of a descent, at most once every `PROGRESS` seconds."""
+        """Send a message about the progress of a descent, at most once every `PROGRESS` seconds.
+
+        A descent that takes long also gets reminders of how to end it.
+        """
         now = time.monotonic()
         if self._start_height is None:
             self._start_height = self._height()
@@ -100,6 +110,14 @@ class ExitMessages:
         self._last_progress = now
         # Ignore every error here: an error in a message must not end the descent.
         with contextlib.suppress(Exception):
+            if self._elapsed() > self._next_reminder:
+                self._next_reminder = self._elapsed() + REMINDER_PERIOD
+                MESSAGES.post(
+                    f"{self._name} is not down after {self._elapsed():.0f} s, because it does not "
+                    "come to rest: take away the hand or object that moves it or holds it up. "
+                    f"{self._abort} at once, torque ON",
+                    logging.WARNING,
+                )
             where = PHASES.get(lowering.phase, lowering.phase)
             name, *_ = self._name.partition(" (")  # a terminal has no room for ports
             MESSAGES.post(
@@ -149,6 +167,7 @@ class ExitMessages:
         unknown: Sequence[str] = (),
         *,
         down: bool = False,
+        has_guardian: bool = False,
     ) -> str:
         """Send the message that a descent failed, with error and torque state; return its text.
 
@@ -157,12 +176,17 @@ class ExitMessages:
             on: Joints whose torque is on; None if unknown, because the servos do not answer.
             unknown: Joints whose torque is unknown, and which may be among those in `on`.
             down: True if the arm rests, and torque off failed.
+            has_guardian: True if the guardian tries to lower the arm, once the program has closed
+                it.
         """
         if on is None:
+            again = "start the program again, which takes the arm over"
+            if has_guardian:
+                again = f"its guardian lowers it if that takes less than 30 s, otherwise {again}"
             return self._post(
                 f"{self._name} was not lowered, the bus is gone: servos that have power keep their "
-                "last goal and limit, torque ON. Repair the connection and start the program "
-                "again, which takes the arm over; or support the arm and cut the supply",
+                f"last goal and limit, torque ON. Repair the connection; {again}; or support the "
+                "arm and cut the supply",
                 logging.WARNING,
             )
         on = [name for name in on if name not in unknown]

@@ -8,14 +8,14 @@ import logging
 import math
 import os
 import sys
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, NoReturn
 
 import numpy as np
 
 from pliant._core import ArmPoints, ConfigError, ServoError, ServoFaultError
 from pliant._validation import instance, real
 from pliant.arm._checks import TORQUE_OFF, check_rest, path_obstacle, posture, times
-from pliant.arm._guardian import Guardian, is_available
+from pliant.arm._guardian import Guardian, beat_all, is_available
 from pliant.arm._io import ArmIO
 from pliant.arm._messages import MESSAGES
 from pliant.arm._shutdown import ExitMessages, descend, exit_cause, hold_position
@@ -28,6 +28,7 @@ from pliant.arm._startup import (
     initial_commands,
     may_lie_on,
     stiffness_mismatch,
+    supply_sag,
     wait_for_all,
 )
 from pliant.arm._supervisor import Supervisor
@@ -137,6 +138,8 @@ class Arm:
         #: True from the beginning of a descent until torque is off or was left on deliberately.
         #: If a descent fails, it stays True, and the guardian takes the arm over.
         self._is_unfinished = False
+        #: True while torque is on without control, at the user's request.
+        self._is_left_on = False
         self._exit_message: str | None = None
         #: Threads that `close` waits for once torque is off.
         self._unfinished_threads: list[Thread] = []
@@ -221,7 +224,7 @@ class Arm:
             atexit.register(self._at_exit)
             atexit.register(self._at_exit)
             self._start_guardian()
-            self._is_unfinished = False
+            self._is_unfinished = self._is_left_on = False
             # Accesses to the drive do not restart this timeout until this method returns.
             self._supervisor.heartbeat[1] = ENABLE_TIME
             self._supervisor.owner = os.getpid()
@@ -237,7 +240,8 @@ class Arm:
             raise
         self.leads = transfer_weight(io, self._points, start_q, carried, self.rate)
         is_supported = may_lie_on(self.table, self._points, io.q)
-        mismatch = stiffness_mismatch(io, self.leads, is_supported=is_supported)
+        # The leads of a supply that sags would be taken for wrong servos.
+        mismatch = supply_sag(io) or stiffness_mismatch(io, self.leads, is_supported=is_supported)
         for text in filter(None, (displacement(io, start_q), mismatch)):
             MESSAGES.post(text, logging.WARNING)
         io.set_watchdog(self._watchdog)
@@ -249,7 +253,7 @@ class Arm:
         If the table blocks the path to the rest pose, the arm descends from the present pose.
 
         Raises:
-            ServoError: The bus is gone, or torque of a joint stayed on.
+            ServoError: The bus is gone, or torque of a joint stayed on, or was left on before.
         """
         self._descend(self.rest_q)
 
@@ -262,7 +266,7 @@ class Arm:
         Raises:
             ConfigError, ShapeError, OutOfRangeError: The pose is not valid, or inside the table;
                 nothing has moved.
-            ServoError: The bus is gone, or torque of a joint stayed on.
+            ServoError: The bus is gone, or torque of a joint stayed on, or was left on before.
         """
         if pose is None and self.rest_q is None:
             raise ConfigError("no pose to park in: arm.park([...]) or connect(..., rest_q=[...])")
@@ -277,10 +281,12 @@ class Arm:
         """Hold the present pose with torque on, also after the program ends.
 
         The servos may overheat, because the thermal budget no longer reduces their limits.
+        `enable` takes the arm over again; `lower` and `park` need that.
         """
         with self._supervisor.exclusive():
             if self.enabled:
                 hold_position(self._io)
+                self._is_left_on = True
                 self._exit_message = self._exit_messages(exit_cause(sys.exception())).left_enabled()
                 self._release()
 
@@ -293,7 +299,7 @@ class Arm:
         with self._supervisor.exclusive(at_once=True):
             try:
                 self.drive.disable(self._io.joints.names)
-                self._is_unfinished = False
+                self._is_unfinished = self._is_left_on = False
             finally:
                 self._release()
 
@@ -347,6 +353,11 @@ class Arm:
                 raise ServoError(
                     "the last descent failed, torque may be ON: arm.enable() takes the arm over"
                 )
+            if self._is_left_on:
+                raise ServoError(
+                    "torque was left ON: arm.enable() takes the arm over, then arm.lower() lowers "
+                    "it; arm.disable_torque() lets it fall"
+                )
             return
         error, signals = sys.exception(), self._signals
         messages = self._exit_messages(self._supervisor.reason or exit_cause(error))
@@ -382,6 +393,7 @@ class Arm:
 
         def on_tick(lowering: Lowering) -> None:
             supervisor.beat()
+            beat_all()
             messages.progress(lowering)
             messages.faults()
 
@@ -422,6 +434,7 @@ class Arm:
                 None if is_unknown else self._joints_where("enabled", True),
                 self._joints_where("torque_unknown", False),
                 down=down,
+                has_guardian=self._guardian is not None,
             )
             raise
         if unrestored := self._joints_where("unrestored", False):
@@ -432,6 +445,7 @@ class Arm:
             self._exit_message = messages.lowered(has_signal=has_signal)
         else:
             self._hold()
+            self._is_left_on = True
             self._exit_message = messages.left_enabled(stopped=True)
 
     def _hold(self) -> None:
@@ -518,6 +532,7 @@ class Arm:
                 self._run_descent(self.rest_q, messages)
             else:
                 hold_position(self._io)
+                self._is_left_on = True
                 self._exit_message = messages.left_enabled()
         finally:
             self._supervisor.owner = None
@@ -553,6 +568,18 @@ class Arm:
         """Return model name, number of joints and whether the arm is enabled in one line."""
         state = "" if self.enabled else "not "
         return f"<Arm {self.model.name}, {self.model.n} joints, {state}enabled>"
+
+    def __reduce__(self) -> NoReturn:
+        """Refuse to copy and to pickle: two objects would control the same servos.
+
+        Raises:
+            TypeError: Always.
+        """
+        raise TypeError(
+            "an Arm cannot be copied or pickled, because only one process and object may drive its "
+            "servos: connect in the process that moves the arm, and send positions and goals to "
+            "the others; its model, its servo parameters and a Controller can be pickled"
+        )
 
     def __enter__(self) -> Arm:
         try:

@@ -79,7 +79,8 @@ class Excitation:
         stiffness_uncertainty: Factor by which the true stiffness may be smaller than assumed.
 
     Attributes:
-        extra_torque: Gravity torque of a payload that the model lacks (n,) [N·m].
+        extra_torque: Torques that hold the arm in addition to gravity, against a payload that the
+            model lacks and a force at the tool (n,) [N·m].
         records: Records of all motions.
         undriven: Indices of joints that could not be driven by their torque limit, see
             `drive_by_limit`.

@@ -33,6 +33,9 @@ NAMES = (
     *("kp", "friction", "load", "motor", "goal_damping", "limit_damping"),
     *("inertia", "deadband", "scale"),
 )
+#: Columns of the unknowns that all joints share: payload (mass, mass times centre), and horizontal
+#: force at the tool.
+PAYLOAD, MASS, MOMENTS, FORCE = slice(-6, -2), -6, slice(-5, -2), slice(-2, None)
 #: Standard deviation of the prior of the servo's dead band [rad]; its mean is 0.
 DEADBAND_SIGMA = 1e-3
 #: Number of iterations of the linearised fit.
@@ -40,7 +43,7 @@ ITERATIONS = 8
 #: Standard deviation of the prior of the payload's centre of mass, per axis of the tool frame [m].
 COM_SIGMA = 0.1
 #: Standard deviation of the prior of the payload's mass, as a share of the mass that the arm can
-#: lift at half of its reach [1].
+#: lift at half of its reach [1]. That of the force at the tool is the weight of this mass.
 MASS_SIGMA_SHARE = 0.5
 
 
@@ -76,6 +79,8 @@ class Solution:
         sigma: Standard deviations of the unknowns (n,) by name.
         payload: Payload φ = (m, m c) (4,): mass m [kg], and mass times centre of mass c [kg·m].
         payload_covariance: Covariance of φ (4, 4).
+        force: Horizontal force at the tool (2,) along `horizontal_axes` [N].
+        force_covariance: Covariance of the force (2, 2).
         sigma_reduction: Share by which the data reduce the prior standard deviation of φ, along
             four orthogonal directions of the scaled φ (4,): 0: not at all; 1: to zero.
         residual_ratio: Root mean square of the residuals over their assumed standard deviations
@@ -87,6 +92,8 @@ class Solution:
     sigma: dict[str, Array]
     payload: Array
     payload_covariance: Array
+    force: Array
+    force_covariance: Array
     sigma_reduction: Array
     residual_ratio: float
     rows: int
@@ -122,7 +129,9 @@ def solve(rig: Excitation, segments: Sequence[Segment], priors: Priors) -> Solut
 def predict_torque(segment: Segment, solution: Solution) -> float:
     """Return the mean servo torque that a solution predicts for a segment [N·m]."""
     i, value = segment.joint, solution.value
-    load = segment.gravity + float(segment.payload @ solution.payload)
+    load = segment.gravity + float(
+        segment.payload @ solution.payload + segment.force @ solution.force
+    )
     motor = abs(segment.drive) * (1.0 if segment.by_limit else value["kp"][i])
     dry = value["friction"][i] + value["load"][i] * abs(load) + value["motor"][i] * motor
     viscous = value["limit_damping" if segment.by_limit else "goal_damping"][i] * segment.speed
@@ -141,14 +150,14 @@ def _fit(
     kp = rig.kp if last is None else np.clip(last.value["kp"], 0.1 * rig.kp, 10.0 * rig.kp)
     friction = rig.friction if last is None else np.maximum(last.value["friction"], 0.0)
     deadband = np.zeros(n) if last is None else last.value["deadband"]
-    width = len(NAMES) * n + 4
+    width = len(NAMES) * n + 6
     column = {name: k * n for k, name in enumerate(NAMES)}
     design, right = np.zeros((len(segments), width)), np.zeros(len(segments))
     for k, segment in enumerate(segments):
         i, row = segment.joint, design[k]
         load = segment.gravity
         if last is not None:
-            load += float(segment.payload @ last.payload)
+            load += float(segment.payload @ last.payload + segment.force @ last.force)
         if segment.by_limit:
             row[column["scale"] + i] = segment.drive
             row[column["limit_damping"] + i] = -segment.speed
@@ -167,15 +176,17 @@ def _fit(
             segment.drive * (1.0 if segment.by_limit else kp[i])
         )
         row[column["inertia"] + i] = -segment.acceleration
-        row[-4:] = -segment.payload
+        row[PAYLOAD], row[FORCE] = -segment.payload, -segment.force
         sigma = noise(rig, segment, kp, friction, deadband)
         row /= sigma
         right[k] /= sigma
     mean, sd = _prior(rig, priors, width, column)
     if last is not None:
         # Convert the prior of the centre to one of mass times centre by the mass found last.
-        sd[-3:] = (
-            np.maximum(COM_SIGMA * max(last.payload[0], 0.05), 1e-6) if priors.payload else sd[-3:]
+        sd[MOMENTS] = (
+            np.maximum(COM_SIGMA * max(last.payload[0], 0.05), 1e-6)
+            if priors.payload
+            else sd[MOMENTS]
         )
     # Scale the unknowns by their prior standard deviations: the prior then adds an identity matrix.
     scaled = design * sd
@@ -191,12 +202,14 @@ def _fit(
     deviation = sd * np.sqrt(np.minimum(np.diag(covariance), 1.0))
     value = {name: x[column[name] : column[name] + n] for name in NAMES}
     value["scale"] = 1.0 + value["scale"]
-    eigenvalues = np.linalg.eigvalsh(covariance[-4:, -4:])[::-1]
+    eigenvalues = np.linalg.eigvalsh(covariance[PAYLOAD, PAYLOAD])[::-1]
     return Solution(
         value=value,
         sigma={name: deviation[column[name] : column[name] + n] for name in NAMES},
-        payload=x[-4:],
-        payload_covariance=covariance[-4:, -4:] * np.outer(sd[-4:], sd[-4:]),
+        payload=x[PAYLOAD],
+        payload_covariance=covariance[PAYLOAD, PAYLOAD] * np.outer(sd[PAYLOAD], sd[PAYLOAD]),
+        force=x[FORCE],
+        force_covariance=covariance[FORCE, FORCE] * np.outer(sd[FORCE], sd[FORCE]),
         sigma_reduction=1.0 - np.sqrt(np.clip(eigenvalues, 0.0, 1.0)),
         residual_ratio=residual_ratio,
         rows=len(segments),
@@ -230,14 +243,17 @@ def _prior(
     ):
         columns = slice(column[name], column[name] + n)
         mean[columns], sd[columns] = centre, sigma
+    model = rig.model
+    weight = float(np.linalg.norm(model.gravity_vector)) or 1.0
+    force = MASS_SIGMA_SHARE * float(rig.torque.max()) / (0.5 * model.reach)
+    # Without this unknown, a cable that pulls at the tool would be taken for a change of k_p.
+    sd[FORCE] = force
     if priors.payload:
-        model = rig.model
-        weight = float(np.linalg.norm(model.gravity_vector)) or 1.0
-        lift = MASS_SIGMA_SHARE * float(rig.torque.max()) / (0.5 * model.reach) / weight
-        sd[-4], sd[-3:] = lift, COM_SIGMA * lift
+        lift = force / weight
+        sd[MASS], sd[MOMENTS] = lift, COM_SIGMA * lift
         known = model.payload
         if known is not None:
-            mean[-4], mean[-3:] = known.mass, known.mass * np.asarray(known.com)
+            mean[MASS], mean[MOMENTS] = known.mass, known.mass * np.asarray(known.com)
     return mean, sd
 
 

@@ -5,11 +5,11 @@ While joint i moves with speed v, direction s = ±1 and acceleration a, its serv
     k_p,i (lead_i − b_i sign τ_i) = τ_i = τ_e,i + s (f_i + l_i |τ_e,i| + m_i |τ_i|) + D_i v + M_i a,
 
 with the servo stiffness k_p, lead = goal − q (joint positions) averaged over the segment, the dead
-band b, and the load τ_e = g(q) + Y(q) φ of gravity g and payload φ = (mass, mass times centre). f
-is the dry friction, l its growth with load, m its growth with motor torque, M the inertia. D is the
-resistance per speed: of gears, back-EMF, the servo's own damping, and k_p T_d for the delay T_d of
-the bus. If the torque limit drives the joint, τ_i is that limit, and D has neither the servo's
-damping nor the delay.
+band b, and the load τ_e = g(q) + Y(q) φ − J_vᵀ F of gravity g, payload φ = (mass, mass times
+centre) and a constant horizontal force F at the tool. f is the dry friction, l its growth with
+load, m its growth with motor torque, M the inertia. D is the resistance per speed: of gears,
+back-EMF, the servo's own damping, and k_p T_d for the delay T_d of the bus. If the torque limit
+drives the joint, τ_i is that limit, and D has neither the servo's damping nor the delay.
 """
 
 from __future__ import annotations
@@ -46,6 +46,7 @@ class Segment:
         drive: Mean lead (goal minus position) [rad]; if `by_limit`, mean signed torque limit [N·m].
         gravity: Torque that holds the joint at the mean positions without payload [N·m].
         payload: Row of `payload_rows` (4,): torque per mass [N·m/kg] and per first moment [N/kg].
+        force: Row of `force_rows` (2,): torque per horizontal force at the tool [m].
         speed: Mean speed [rad/s].
         acceleration: Mean acceleration [rad/s²].
         samples: Number of averaged ticks (control cycles).
@@ -56,6 +57,7 @@ class Segment:
     drive: float
     gravity: float
     payload: Array
+    force: Array
     speed: float
     acceleration: float
     samples: int
@@ -77,6 +79,26 @@ def payload_rows(model: Model, q: ArrayLike) -> Array:
     g = np.asarray(model.gravity_vector)
     columns = np.cross(pose[:3, :3].T, g)  # rows: column k of the rotation × gravity
     return np.column_stack([-jacobian[:3].T @ g, -jacobian[3:].T @ columns.T])
+
+
+def force_rows(model: Model, q: ArrayLike) -> Array:
+    """Return the joint torques per horizontal force at the tool (n, 2) [m] that hold against it.
+
+    A vertical force is not included, because it acts like the weight of a payload. Without gravity,
+    the first two axes of the base count as horizontal.
+    """
+    jacobian = np.asarray(model.kinematics(q)[1])
+    return -jacobian[:3].T @ horizontal_axes(model)
+
+
+def horizontal_axes(model: Model) -> Array:
+    """Return two orthogonal unit vectors (3, 2) in base axes, perpendicular to gravity."""
+    g = np.asarray(model.gravity_vector)
+    down = g / np.linalg.norm(g) if g.any() else np.array([0.0, 0.0, -1.0])
+    axis = np.eye(3)[np.argmin(np.abs(down))]
+    first = axis - down * (axis @ down)
+    first /= np.linalg.norm(first)
+    return np.column_stack([first, np.cross(down, first)])
 
 
 def bare_gravity(model: Model, q: ArrayLike) -> Array:
@@ -165,6 +187,7 @@ def _average(
         drive=drive,
         gravity=float(bare_gravity(rig.model, middle)[joint]),
         payload=payload_rows(rig.model, middle)[joint],
+        force=force_rows(rig.model, middle)[joint],
         speed=float((q[end - 1, joint] - q[start, joint]) / span),
         acceleration=float((rates[1] - rates[0]) / max(span - pace, rig.period)),
         samples=end - start,

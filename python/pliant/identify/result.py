@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pliant._core import Controller, Payload
+from pliant.identify._segments import bare_gravity, horizontal_axes, payload_rows
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -23,6 +24,9 @@ if TYPE_CHECKING:
 KNOWN_SIGMA = 0.1
 #: Ratio of residuals to assumed noise above which the model lacks an effect, e.g. a hand [1].
 MAX_RESIDUAL_RATIO = 2.0
+#: Standard deviations by which a force or a negative mass at the tool must differ from 0 to be
+#: reported [1].
+SIGNIFICANCE = 4.0
 #: Smallest `PayloadEstimate.sigma_reduction` of a direction that the data determine [1].
 MIN_REDUCTION = 0.5
 
@@ -88,6 +92,12 @@ class PayloadEstimate:
                 f"payload {self.mass:.3f} ± {2 * self.mass_sigma:.3f} kg, centre {where} mm in the "
                 "tool frame (95 %)."
             ]
+        lift = -float(self.moments[0])
+        if lift > SIGNIFICANCE * self.mass_sigma:
+            out.append(
+                f"the tool is {lift:.3f} kg lighter than in the model: a hand or a cable lifts it, "
+                "or a link of the model is too heavy."
+            )
         undetermined = int((self.sigma_reduction < MIN_REDUCTION).sum())
         if undetermined:
             out.append(
@@ -111,7 +121,10 @@ class Identification:
         load: Absolute gravity torque at the present pose (n,) [N·m].
         delay: Time from reading the positions to the arrival of the goal at the servos [s].
         delay_sigma: Standard deviation of the delay [s].
-        payload: Estimated payload of the tool.
+        payload: Estimated payload of the tool. A vertical force at the tool counts as its weight.
+        tool_force: Constant horizontal force (3,) in base axes that acted on the tool meanwhile
+            [N]. It is no part of the other values.
+        tool_force_sigma: Standard deviation of its magnitude [N].
         residual_ratio: Root mean square of the residuals over the assumed noise of friction and
             encoder [1]. A value well above 1 means that the model misses an effect.
         undriven: Names of joints that could not be driven by their torque limits; their stiffness
@@ -126,6 +139,8 @@ class Identification:
     delay: float
     delay_sigma: float
     payload: PayloadEstimate
+    tool_force: Array
+    tool_force_sigma: float
     residual_ratio: float
     undriven: tuple[str, ...]
     joint_names: tuple[str, ...]
@@ -144,7 +159,8 @@ class Identification:
         value, sigma = solution.value, solution.sigma
         damping = np.maximum(value["limit_damping"], 0.0)
         kv = np.maximum(value["goal_damping"] - damping - value["kp"] * delay.seconds, 0.0)
-        load = np.abs(np.asarray(rig.model.gravity(home)) + rig.extra_torque)
+        weight = payload_rows(rig.model, home) @ solution.payload
+        load = np.abs(bare_gravity(rig.model, home) + weight)
         share = value["load"] + value["motor"]
         share_sigma = np.hypot(sigma["load"], sigma["motor"])
         share = np.where(share > 1e-6, share, 0.0)
@@ -182,6 +198,8 @@ class Identification:
             delay=delay.seconds,
             delay_sigma=delay.sigma,
             payload=PayloadEstimate.of(solution),
+            tool_force=horizontal_axes(rig.model) @ solution.force,
+            tool_force_sigma=float(np.sqrt(np.linalg.eigvalsh(solution.force_covariance)[-1])),
             residual_ratio=solution.residual_ratio,
             undriven=tuple(rig.model.joint_names[i] for i in sorted(set(rig.undriven))),
             joint_names=tuple(rig.model.joint_names),
@@ -231,6 +249,16 @@ class Identification:
             "arrival of the goal."
         )
         out += self.payload.summary()
+        force = float(np.linalg.norm(self.tool_force))
+        if force > SIGNIFICANCE * self.tool_force_sigma:
+            where = ", ".join(
+                f"{axis} {f:+.1f}" for axis, f in zip("xyz", self.tool_force, strict=True)
+            )
+            out.append(
+                f"a horizontal force of {force:.1f} ± {2 * self.tool_force_sigma:.1f} N acted on "
+                f"the tool ({where} N in base axes) and is left out of these values: a hand or "
+                "a cable."
+            )
         for name in np.asarray(self.joint_names)[~self.stiffness_known]:
             out.append(
                 f"{name}: k_p is not known within 10 %; its load hardly changes "

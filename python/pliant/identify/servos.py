@@ -11,7 +11,7 @@ from pliant._validation import instance, number
 from pliant.identify._excitation import Excitation
 from pliant.identify._poses import AMPLITUDE_RANGE, MAX_SPAN, check_poses, pose_list
 from pliant.identify._regression import Priors, Solution, fit_delay, solve
-from pliant.identify._segments import all_segments, bare_gravity, payload_rows
+from pliant.identify._segments import all_segments, bare_gravity, force_rows, payload_rows
 from pliant.identify.procedure import Procedure, guided, run_procedure
 from pliant.identify.result import Identification
 
@@ -118,7 +118,8 @@ def identify_servos(
         **options: `torque_share` and `limit_error` of `identify_servos.procedure`.
 
     Returns:
-        Servo parameters, delay and payload, with standard deviations.
+        Servo parameters, delay and payload, with standard deviations. A constant horizontal force
+        at the tool, as of a cable, is identified too, and does not change the other values.
 
     Raises:
         ConfigError: Neither `servos` nor the model gives servo parameters.
@@ -235,8 +236,9 @@ def fit_all(
 
 
 def holding_torque(rig: Excitation, q: Array, solution: Solution) -> Array:
-    """Return the torques that hold the arm at q with the identified payload (n,) [N·m]."""
-    return bare_gravity(rig.model, q) + payload_rows(rig.model, q) @ solution.payload
+    """Return the torques that hold the arm at q with identified payload and force (n,) [N·m]."""
+    out: Array = bare_gravity(rig.model, q) + payload_rows(rig.model, q) @ solution.payload
+    return out + force_rows(rig.model, q) @ solution.force
 
 
 def _fit(rig: Excitation, priors: Priors) -> Solution:

@@ -262,8 +262,9 @@ pub struct Lowering {
     phase_time: f64,
     /// Time since the start of the descent [s].
     time: f64,
-    /// Time [s] and positions [rad] with which the present ones are compared after [`STOPPED_TIME`], and the result.
+    /// Time [s] and positions [rad] from which on no point has moved by [`STOPPED_DISTANCE`].
     compared: (f64, JointVec),
+    /// True if that was for [`STOPPED_TIME`].
     has_stopped: bool,
     /// Time since the last tick in which goals or limits were updated, at most [`MAX_TICK`] [s].
     waited: f64,
@@ -708,15 +709,19 @@ impl Lowering {
         }
     }
 
-    /// Every [`STOPPED_TIME`], compares the positions with the previous ones and sets `has_stopped`.
+    /// Updates `has_stopped` and the positions with which the next ones are compared.
     fn note_motion(&mut self, here: &ArmGeometry) {
-        let (since, q) = self.compared;
-        if self.blind || self.time - since < STOPPED_TIME {
+        if self.blind {
             return;
         }
+        let (since, q) = self.compared;
         let motion: JointVec = std::array::from_fn(|i| self.q[i] - q[i]);
-        self.has_stopped = here.velocity(&motion).iter().all(|motion| norm(motion) < STOPPED_DISTANCE);
-        self.compared = (self.time, self.q);
+        // Compare in every tick: an arm that a hand moves to and fro may be back after `STOPPED_TIME`.
+        if here.velocity(&motion).iter().any(|motion| norm(motion) >= STOPPED_DISTANCE) {
+            (self.compared, self.has_stopped) = ((self.time, self.q), false);
+        } else if self.time - since >= STOPPED_TIME {
+            self.has_stopped = true;
+        }
     }
 
     /// Returns true if the descent has taken its longest time and the arm has stopped. Returns false while the model
