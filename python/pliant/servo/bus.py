@@ -240,7 +240,11 @@ class ServoBus:
             if self._silent and not any(device.enabled for device in self._devices):
                 # Unknown is not off: switching them off would drop the arm.
                 names = ", ".join(device.name for device in self._silent)
-                raise ServoError(f"no answer from {names}: torque may be on")
+                others = len(self._silent) < len(self._devices)
+                raise ServoError(
+                    f"no answer from {names}: torque may be on"
+                    + (" there, it is off in all other servos" if others else "")
+                )
         except BaseException:
             self.close()
             raise
