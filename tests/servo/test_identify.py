@@ -288,6 +288,8 @@ def test_a_supply_fits_both_data_sheet_and_eeprom(limits, volts, fits):
     [
         (XM, {"pwm_limit": 443}, "PWM Limit is set to 50%"),
         (XM, {"pwm_limit": 885}, None),
+        (XM, {"current_limit": 400}, "Current Limit is set to"),
+        (XM, {"current_limit": 1193}, None),
         (XM, {"return_delay_time": 10}, None),
         (XM, {"return_delay_time": 11}, "22 µs before each answer"),
         (MX, {"return_delay_time": 250}, "500 µs before each answer"),

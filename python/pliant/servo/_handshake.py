@@ -384,6 +384,12 @@ def _store_registers(device: Device, image: RegisterImage) -> ServoInfo:
     if device.ceiling < device.units.full and family.status != "p2":
         share = device.ceiling / device.units.full
         notes.append(f"its Max Torque is set to {share:.0%}, which is the ceiling of its limits")
+    if family.ceiling == "current_limit" and image["current_limit"] < device.units.full:
+        share = image["current_limit"] / device.units.full
+        notes.append(
+            f"its Current Limit is set to {share:.0%} of the largest value: "
+            f"{device.units.usable(device.ceiling):.3g} N·m are left"
+        )
     if "pwm_limit" in image and image["pwm_limit"] < family.full_duty:
         share = image["pwm_limit"] / family.full_duty
         notes.append(
