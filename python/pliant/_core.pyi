@@ -2770,7 +2770,8 @@ class Lowering:
     Goals start at their present values and move toward the joints, in proportion to the measured
     lead goal - q, so the arm descends without an exact stiffness or payload. Phases:
 
-    - `rest`: move toward the rest pose, if there is one;
+    - `rest`: move toward the rest pose, if there is one; leads that are larger than the torque
+      limits allow shrink before, until their joints begin to sink;
     - `down`: descend until no joint holds a load;
     - `ramp`: reduce the torque limits to zero, and wait until the arm stands still.
 

@@ -290,6 +290,43 @@ def test_a_lead_that_the_limit_does_not_allow_lifts_no_joint():
     assert heights[-1] < start - 0.05
 
 
+@pytest.mark.parametrize(
+    ("robot", "q", "rest", "rise"),
+    # In brackets: rise with servos of 1 and 2.5 times the assumed stiffness where the joints with
+    # such leads stand still on the way to the rest pose, which the arm then does not reach.
+    [
+        ("so101", (0.0, -0.3, 0.3, 0.9, 0.0), (0.0, -1.74, 1.57, 0.85, 0.0), 0.005),  # (93, 96 mm)
+        ("koch", (0.0, -0.8, 0.8, 0.6, 0.0), (0.0, -1.79, 1.6, 0.5, 0.0), 0.010),  # (116, 144 mm)
+    ],
+)
+@pytest.mark.parametrize("stiffness", [1.0, 2.5])
+def test_leads_that_the_limits_do_not_allow_shrink_before_the_way_to_the_rest_pose(
+    robot, q, rest, rise, stiffness
+):
+    """As after a program that was killed while torque came on."""
+    model = robots.load(robot)
+    plant = Plant(model, kp_scale=stiffness)
+    plant.reset(q)
+    drive = SimDrive(plant)
+    goal, limit = saturated(model, np.array(q))
+    drive.enable(drive.read().position, np.append(limit, 0.1))
+    drive.write(np.append(goal, 0.0), np.append(limit, 0.1))
+    drive.clock.wait_until(0.3)
+    lowering = Lowering(
+        model, model.servos, drive.read().position[:5], goal=goal, limit=limit, rest=rest
+    )
+    start, heights, distances = plant.tool[2, 3], [], []
+    while lowering.phase in {"rest", "down"}:
+        position = drive.read().position[:5]
+        command = lowering.step(position, dt=0.01)
+        drive.write(np.append(command.goal, 0.0), np.append(command.torque_limit, 0.1))
+        drive.clock.wait_until(plant.time + 0.01)
+        heights.append(plant.tool[2, 3])
+        distances.append(np.abs(position - rest).max())
+    assert max(heights) - start < rise
+    assert min(distances) < 0.03
+
+
 def test_a_joint_that_creeps_gets_little_torque(model, grasp):
     goal, limit = saturated(model, grasp)
     lowering = Lowering(model, model.servos, grasp, goal=goal, limit=limit)

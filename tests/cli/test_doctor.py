@@ -90,6 +90,27 @@ def test_a_servo_that_torque_on_would_refuse_is_not_ready():
     assert "outside of" in bad["gripper"]
 
 
+@pytest.mark.parametrize("broken", [2, 3])
+def test_a_servo_that_has_shut_down_is_not_ready(broken):
+    """Either servo of the shoulder's pair: the one without a fault hides no other."""
+    text = config.loader.builtin_text("koch").replace(
+        "id = 2 }", "id = 2, secondary = { id = 3, sign = 1 } }"
+    )
+    text = text.replace("id = 6", "id = 7").replace('M288", id = 3', 'M288", id = 6')
+    with make_emulator(config.parse(f'backend = "emulator"\n{text}')) as bus:
+        bus.trip(broken, "heat")
+        arm_config = config.parse(text.replace('"auto"', f'"{bus.port}"'))
+        bad = {f.about: f.text for f in examine(arm_config) if f.level == "bad"}
+        with (
+            pytest.raises(pliant.ServoError) as refused,
+            pliant.connect(arm_config, handle_signals=False, guardian=False),
+        ):
+            pass
+    assert bad["shoulder_lift"] in str(refused.value)
+    assert f"shoulder_lift (id {broken}): too hot" in bad["shoulder_lift"]
+    assert "ServoBus.reboot('shoulder_lift')" in bad["shoulder_lift"]
+
+
 def test_the_watch_ends_with_a_rest_pose_to_paste(capsys):
     with make_emulator(config.load("so101", backend="emulator")) as bus:
         assert (

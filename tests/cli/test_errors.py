@@ -71,6 +71,13 @@ def servos(*ids, **registers):
     return [Device("STS3215", id=i, **registers) for i in ids]
 
 
+def test_a_task_with_too_many_axes_names_the_table_of_the_file(tmp_path, capsys):
+    file = tmp_path / "arm.toml"
+    file.write_text(toml("/none").replace('settings.task = "xyz"\n', ""))
+    assert main(["run", str(file), "--quiet", "--duration", "1"]) == 2
+    assert "`task` in [settings], as in" in " ".join(capsys.readouterr().err.split())
+
+
 def test_wrong_port(error_texts):
     all_say(
         error_texts(toml("/dev/ttyNOWHERE7")), "there is no port /dev/ttyNOWHERE7", "there are:"

@@ -57,6 +57,7 @@ def test_urdf_and_file_that_disagree_on_joints():
     ("text", "message"),
     [
         ("x =", "is not TOML"),
+        ("[servo]\nRevolute 2 = { id = 1 }", "is not TOML.*a name with spaces.* is in quotes"),
         (
             'robot.urdf = "C:\\Users\\arm.urdf"',
             "is not TOML.*a path with / or in single quotes",

@@ -662,7 +662,12 @@ def test_a_reopened_bus_has_the_commands_of_the_servos_that_answer(emulated, ena
         assert not copy.torque_unknown.any()
         copy.close()
         bus.faults.inject("lose", count=10**6)
-        with pytest.raises(ServoError, match="no answer from joint0, joint1: torque may be on"):
+        with pytest.raises(ServoError, match=r"no answer from joint0, joint1: torque may be on$"):
+            copy.reopen()
+        bus.faults.clear()
+        bus.servos[0].put("torque_enable", 0)
+        bus.faults.inject("lose", 2, count=10**6)
+        with pytest.raises(ServoError, match="joint1: torque may be on there, it is off in all"):
             copy.reopen()
 
 

@@ -258,7 +258,7 @@ def registers(servo):
         "torque_limit", "goal_current", "goal_pwm", "moving_speed", "goal_velocity", "goal_time",
         "profile_velocity", "profile_acceleration", "acceleration", "goal_acceleration",
         "bus_watchdog", "cw_compliance_margin", "ccw_compliance_margin", "ccw_compliance_slope",
-        "punch",
+        "punch", "i_gain", "position_i_gain",
     ]  # fmt: skip
     available = {register.name for register in servo.table}
     return {name: servo.get(name) for name in names if name in available}
@@ -351,6 +351,21 @@ def test_a_goal_pwm_that_was_left_low_does_not_weaken_a_current_limited_servo(em
         servo_bus.disable()
         bus.sync()
         assert bus.servos[0].get("goal_pwm") == 150
+
+
+@pytest.mark.parametrize("kind", ["xm", "xl430", "mx"])
+def test_an_integral_gain_that_another_program_left_is_off_while_driven(emulated, enabled, kind):
+    """A servo that integrates pushes against a hand until its torque limit."""
+    name = "i_gain" if kind == "mx" else "position_i_gain"
+    with emulated(kind, 1, clock="steps", is_open=False) as (bus, servo_bus):
+        bus.servos[0].put(name, 200)
+        servo_bus.open()
+        enabled(servo_bus)
+        bus.sync()
+        assert bus.servos[0].get(name) == 0
+        servo_bus.disable()
+        bus.sync()
+        assert bus.servos[0].get(name) == 200
 
 
 @pytest.mark.parametrize(("kind", "punch"), [("ex", 0), ("rx", 32)])

@@ -203,7 +203,7 @@ def test_a_servo_that_is_about_to_switch_off_gets_no_torque(emulated, enabled, k
             enabled(servo_bus)
         assert not bus.log.goals_while_disabled()
         servo_bus.identify()
-        assert servo_bus.range_errors == {"joint1": f"{message[8:]} before its torque comes on"}
+        assert servo_bus.enable_errors == {"joint1": f"{message[8:]} before its torque comes on"}
         servo.temperature = limit - 3.0
         enabled(servo_bus)
         servo.temperature = limit - 1.0

@@ -229,6 +229,7 @@ EX, RX, MX = ("EX-106+",) * 2, ("RX-64",) * 2, ("MX-64",) * 2
         (XL, {"operating_mode": 4}, None),
         (XL, {"operating_mode": 5}, "operating mode 5, needed is 3 or 4"),
         (STS, {"operating_mode": 1}, "operating mode 1, needed is 0"),
+        (STS, {"i_coefficient": 3}, "its I gain is 3"),
         (STS, {"response_level": 1}, None),
         (STS, {"response_level": 0}, "Status Return Level"),
         (EX, {"drive_mode": 2}, "slave of a dual joint"),
@@ -287,6 +288,8 @@ def test_a_supply_fits_both_data_sheet_and_eeprom(limits, volts, fits):
     [
         (XM, {"pwm_limit": 443}, "PWM Limit is set to 50%"),
         (XM, {"pwm_limit": 885}, None),
+        (XM, {"current_limit": 400}, "Current Limit is set to"),
+        (XM, {"current_limit": 1193}, None),
         (XM, {"return_delay_time": 10}, None),
         (XM, {"return_delay_time": 11}, "22 µs before each answer"),
         (MX, {"return_delay_time": 250}, "500 µs before each answer"),

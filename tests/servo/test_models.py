@@ -45,6 +45,7 @@ NAMES = {
     "pwm": ("present_pwm",),
     "mode": ("operating_mode",),
     "gain": ("p_coefficient", "position_p_gain", "p_gain", "cw_compliance_slope"),
+    "integral_gain": ("i_coefficient", "position_i_gain", "i_gain"),
     "slope_ccw": ("ccw_compliance_slope",),
     "margin_cw": ("cw_compliance_margin",),
     "margin_ccw": ("ccw_compliance_margin",),
@@ -176,10 +177,10 @@ def test_registers_of_the_drive_and_blocks_of_readings():
         ("STS3215", {"acceleration_cap": 0}, (56, 15), (0, 71)),
         ("EX-106+", {**compliance, "punch": 0}, (34, 10), (0, 50)),
         ("RX-64", {**compliance, "punch": 32}, (34, 10), (0, 50)),
-        ("MX-64", {"acceleration_cap": 0}, (34, 10), (0, 50)),
-        ("MX-106", {"acceleration_cap": 0}, (34, 10), (0, 50)),
-        ("XM430-W350", {"pwm_goal": "pwm_limit"}, (126, 10), (104, 43)),
-        ("XL430-W250", {"acceleration_cap": 0}, (126, 10), (104, 43)),
+        ("MX-64", {"acceleration_cap": 0, "integral_gain": 0}, (34, 10), (0, 50)),
+        ("MX-106", {"acceleration_cap": 0, "integral_gain": 0}, (34, 10), (0, 50)),
+        ("XM430-W350", {"pwm_goal": "pwm_limit", "integral_gain": 0}, (126, 10), (104, 43)),
+        ("XL430-W250", {"acceleration_cap": 0, "integral_gain": 0}, (126, 10), (104, 43)),
     ):
         family = get_model(name).family
         assert family.drive_values == values

@@ -557,12 +557,12 @@ def test_a_session_makes_the_recorded_requests(name):
 
 #: Requests of a session over bytes: read, sync read, write, sync write; and their counter.
 COUNTS = {
-    "sts": (51, 20, 15, 14, 101),
-    "xm": (77, 24, 18, 13, 133),
-    "xl430": (86, 24, 18, 26, 155),
+    "sts": (54, 20, 15, 14, 104),
+    "xm": (83, 24, 21, 13, 142),
+    "xl430": (92, 24, 21, 26, 164),
     "ex": (109, 0, 24, 14, 148),
     "rx": (112, 0, 24, 14, 151),
-    "mx": (103, 0, 15, 14, 133),
+    "mx": (109, 0, 18, 14, 142),
 }
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pliant._core import Controller
+from pliant._core import ConfigError, Controller
 from pliant.cli._flags import check_duration, check_log, make_recorder
 from pliant.config._soft import apply_soft
 from pliant.loop import Loop
@@ -35,6 +35,23 @@ def load(
     check_log(log, [*override.inputs(arm, config), source])
     check_duration(duration)
     return config, apply_soft(config.settings(), soft, config.model(), option="--soft")
+
+
+def check_settings(arm: Arm, settings: Settings) -> None:
+    """Check that the arm can have a controller with these settings, before torque comes on.
+
+    Raises:
+        PliantError: The settings do not fit the arm. An error of the task names the table of the
+            configuration file that sets it.
+    """
+    try:
+        Controller(arm.model, settings, arm.servos)
+    except ConfigError as error:
+        if not str(error).startswith("task."):
+            raise
+        raise ConfigError(
+            f'{error}. In the file it is `task` in [settings], as in task = "xyz"'
+        ) from error
 
 
 def make_loop(

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from pliant._core import Controller
 from pliant.cli._console import print_line, print_summary
-from pliant.cli._control import load, make_loop
+from pliant.cli._control import check_settings, load, make_loop
 from pliant.cli._flags import ArmName, Axes, ConfigFlags, File, Seconds
 from pliant.config import connect
 from pliant.ros import Bridge
@@ -53,7 +52,7 @@ class NetworkFlags:
         is_simulated = config.backend == "sim"
         connected = connect(config, real_time=True) if is_simulated else connect(config)
         # Check the settings here, to raise errors before torque is on.
-        Controller(connected.model, settings, connected.servos)
+        check_settings(connected, settings)
         with open_link() as link:
             print_line(ready.format(address=link.address))
             loop = None

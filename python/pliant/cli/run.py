@@ -14,7 +14,7 @@ from rich.table import Table
 from pliant._core import Command, Controller, Model
 from pliant._validation import AXES
 from pliant.cli._console import print_summary
-from pliant.cli._control import load, make_loop
+from pliant.cli._control import check_settings, load, make_loop
 from pliant.cli._flags import ArmName, Axes, ConfigFlags, File, Seconds
 from pliant.cli._targets import Targets, open_targets
 from pliant.config import connect
@@ -63,7 +63,7 @@ def run(
     arm_config, settings = load(arm, override, soft, duration=duration, log=log, source=targets)
     connected = connect(arm_config)
     # Check the settings here, to raise errors before torque is on.
-    Controller(connected.model, settings, connected.servos)
+    check_settings(connected, settings)
     runs: list[tuple[Arm, Loop, list[str]]] = []
     try:
         with open_targets(targets, arm_config.model()) as source, connected as live:

@@ -218,7 +218,7 @@ def _gains(chain: ServoBus, config: Config) -> Iterator[Diagnosis]:
 
 
 def _sense(chain: ServoBus, model: Model) -> Iterator[Diagnosis]:
-    """Report joints whose measured position is outside the joint limits or the servo's range."""
+    """Report joints that are outside their limits, and servos whose torque may not come on."""
     position = dict(zip(chain.names, chain.read().position.tolist(), strict=True))
     for name, q, low, high in outside(model, np.array([position[j] for j in model.joint_names])):
         yield Diagnosis(
@@ -227,7 +227,7 @@ def _sense(chain: ServoBus, model: Model) -> Iterator[Diagnosis]:
             f"stands at {q:.2f} rad, outside its {low:.2f} to {high:.2f}: its zero, sign or "
             "gear in the file is wrong, or it is not calibrated",
         )
-    for name, text in chain.range_errors.items():
+    for name, text in chain.enable_errors.items():
         yield Diagnosis("bad", name, text)
 
 

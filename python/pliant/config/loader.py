@@ -153,6 +153,8 @@ def parse(
         cause = str(error)
         if "Unescaped" in cause or "hex value" in cause:  # "C:\Users\..."
             cause += "; write a path with / or in single quotes"
+        elif "Expected '='" in cause:
+            cause += "; a name with spaces, as URDFs have, is in quotes"
         raise ConfigError(f"{source} is not TOML: {cause}") from error
     except RecursionError as error:
         raise ConfigError(f"{source} is not TOML: it is nested too deeply") from error

@@ -356,11 +356,8 @@ def _check_state(device: Device, ports: Ports, goal: Sequence[float]) -> Registe
     """
     names = [name for name in _CHECKED if name in device.family.registers]
     image = _image(device, ports, *names)
-    if device.hardware:
-        raise ServoFaultError(
-            "\n".join(device.faults) + "\nto clear this, switch its supply off and on, or call "
-            f"ServoBus.reboot({device.spec.name!r})"
-        )
+    if text := hardware_error(device):
+        raise ServoFaultError(text)
     if not image["torque_enable"] and (text := device.heat()):
         raise ServoFaultError(f"{device.name}: {text}")
     if device.position is None:
@@ -376,6 +373,16 @@ def _check_state(device: Device, ports: Ports, goal: Sequence[float]) -> Registe
     if error is not None and not image["torque_enable"]:
         raise ServoError(error)
     return image
+
+
+def hardware_error(device: Device) -> str:
+    """Return an error text if a servo has a latched hardware fault, else an empty one."""
+    if not device.hardware:
+        return ""
+    return (
+        "; ".join(device.faults) + ". To clear this, switch its supply off and on, or call "
+        f"ServoBus.reboot({device.spec.name!r})"
+    )
 
 
 def range_error(device: Device) -> str | None:

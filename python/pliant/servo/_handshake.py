@@ -284,7 +284,7 @@ def _supply(device: Device, image: RegisterImage) -> tuple[float, float]:
 
 
 def _check_mode(device: Device, image: RegisterImage) -> list[str]:
-    """Return an error text for each of operating mode, drive mode and secondary id if unusable."""
+    """Return an error text for each mode, secondary id or EEPROM gain that is unusable."""
     errors = []
     family = device.family
     if family.status == "p2":
@@ -313,6 +313,11 @@ def _check_mode(device: Device, image: RegisterImage) -> list[str]:
         if image["mode"] != 0:
             errors.append(
                 f"operating mode {image['mode']}, needed is 0: `pliant servos setup` changes it"
+            )
+        if image["integral_gain"]:
+            errors.append(
+                f"its I gain is {image['integral_gain']}, with which it pushes harder and harder "
+                "against a hand: `pliant servos setup` sets 0"
             )
     else:
         if image["position_min"] == image["position_max"]:
@@ -379,6 +384,12 @@ def _store_registers(device: Device, image: RegisterImage) -> ServoInfo:
     if device.ceiling < device.units.full and family.status != "p2":
         share = device.ceiling / device.units.full
         notes.append(f"its Max Torque is set to {share:.0%}, which is the ceiling of its limits")
+    if family.ceiling == "current_limit" and image["current_limit"] < device.units.full:
+        share = image["current_limit"] / device.units.full
+        notes.append(
+            f"its Current Limit is set to {share:.0%} of the largest value: "
+            f"{device.units.usable(device.ceiling):.3g} N·m are left"
+        )
     if "pwm_limit" in image and image["pwm_limit"] < family.full_duty:
         share = image["pwm_limit"] / family.full_duty
         notes.append(

@@ -240,7 +240,11 @@ class ServoBus:
             if self._silent and not any(device.enabled for device in self._devices):
                 # Keep their torque: it may hold the arm.
                 names = ", ".join(device.name for device in self._silent)
-                raise ServoError(f"no answer from {names}: torque may be on")
+                others = len(self._silent) < len(self._devices)
+                raise ServoError(
+                    f"no answer from {names}: torque may be on"
+                    + (" there, it is off in all other servos" if others else "")
+                )
         except BaseException:
             self.close()
             raise
@@ -341,13 +345,14 @@ class ServoBus:
         return np.array([s.row.stall_current * len(s.servos) for s in self.specs])
 
     @property
-    def range_errors(self) -> dict[str, str]:
-        """Error texts about servos that `enable` rejects: out of range, or hot without torque."""
-        texts = {
-            d.spec.name: sequences.range_error(d) or ("" if d.torque_on else d.heat())
-            for d in self._devices
-        }
-        return {name: text for name, text in texts.items() if text}
+    def enable_errors(self) -> dict[str, str]:
+        """Error texts about servos that `enable` rejects: faulty, out of range, or too hot."""
+        texts: dict[str, str] = {}
+        for device in self._devices:
+            text = sequences.hardware_error(device) or sequences.range_error(device)
+            if text := text or ("" if device.torque_on else device.heat()):
+                texts.setdefault(device.spec.name, text)
+        return texts
 
     @property
     def counters(self) -> dict[str, int]:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 #: Names of the registers that a setup may write.
 SETUP_REGISTERS = (
     "return_level", "return_delay", "shutdown", "mode", "drive_mode", "shadow_id",
-    "position_min", "position_max",
+    "position_min", "position_max", "integral_gain",
 )  # fmt: skip
 #: Number of the bit of the register Shutdown that enables overload protection.
 OVERLOAD_BIT = 5
@@ -174,6 +174,7 @@ def _required_values(
         out["shadow_id"] = (NO_SECONDARY, "obeys its own id only")
     elif family.status == "feetech":
         out["mode"] = (0, "position control")
+        out["integral_gain"] = (0, "does not push harder and harder against a hand")
     else:
         if read(io, id, family, "position_min") == read(io, id, family, "position_max"):
             why = "position control, not wheel or multi-turn mode"

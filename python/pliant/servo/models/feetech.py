@@ -30,6 +30,7 @@ STS = Family(
         "phase": Register(18, 1),
         "shutdown": Register(19, 1),
         "gain": Register(21, 1),
+        "integral_gain": Register(23, 1),
         "homing_offset": Register(31, 2, "bit11"),
         "mode": Register(33, 1),
         "protective_torque": Register(34, 1),

@@ -67,7 +67,7 @@ def _family(name: str, *, drive_values: Mapping[str, int | str], **further: Regi
 
 # Address 28 is the clockwise compliance slope of EX and RX servos, and the P gain of MX servos;
 # addresses 10 and 73 are Drive Mode and Goal Acceleration.
-_GAIN, _DUAL, _ACCELERATION = Register(28, 1), Register(10, 1), Register(73, 1)
+_GAIN, _DUAL = Register(28, 1), Register(10, 1)
 #: Further registers of the position loop of EX and RX servos: dead zones on both sides, slope on
 #: the counterclockwise side, and minimum torque outside of the dead zones (punch).
 _COMPLIANCE = {
@@ -89,12 +89,12 @@ def _compliance(punch: int) -> dict[str, int | str]:
 
 RX = _family("RX-64", drive_values=_compliance(32), gain=_GAIN, **_COMPLIANCE)
 EX = _family("EX-106+", drive_values=_compliance(0), gain=_GAIN, drive_mode=_DUAL, **_COMPLIANCE)
-#: Further register of MX servos while they are driven: 0 means no acceleration limit.
-_UNLIMITED = {"acceleration_cap": 0}
-MX = _family("MX-28, MX-64", drive_values=_UNLIMITED, gain=_GAIN, acceleration_cap=_ACCELERATION)
-MX_DUAL = _family(
-    "MX-106", drive_values=_UNLIMITED, gain=_GAIN, drive_mode=_DUAL, acceleration_cap=_ACCELERATION
-)
+#: Further registers of MX servos, which are 0 while they are driven: no acceleration limit, and no
+#: integral part, which would push against a hand with more and more torque.
+_MX = {"acceleration_cap": Register(73, 1), "integral_gain": Register(27, 1)}
+_ZEROS = dict.fromkeys(_MX, 0)
+MX = _family("MX-28, MX-64", drive_values=_ZEROS, gain=_GAIN, **_MX)
+MX_DUAL = _family("MX-106", drive_values=_ZEROS, gain=_GAIN, drive_mode=_DUAL, **_MX)
 
 
 def _mx(  # noqa: PLR0917 - a row of a table

@@ -41,6 +41,7 @@ _COMMON = {
     "torque_enable": Register(64, 1),
     "return_level": Register(68, 1),
     "hardware_error": Register(70, 1),
+    "integral_gain": Register(82, 2),
     "gain": Register(84, 2),
     "watchdog": Register(98, 1),
     "goal_velocity": Register(104, 4, "twos"),
@@ -76,7 +77,7 @@ CURRENT = Family(
     speed_max=32767,
     ceiling="current_limit",
     multi_turn=True,
-    drive_values={"pwm_goal": "pwm_limit"},
+    drive_values={"pwm_goal": "pwm_limit", "integral_gain": 0},
 )
 DUTY = Family(
     name="X, duty-limited",
@@ -95,7 +96,7 @@ DUTY = Family(
     full_load=1000,
     speed_max=32767,
     ceiling="pwm_limit",
-    drive_values={"acceleration_cap": 0},
+    drive_values={"acceleration_cap": 0, "integral_gain": 0},
 )
 
 #: Motor duty [1] per radian of position error and per unit of the register Position P Gain, from

@@ -103,6 +103,13 @@ const SLIDING: f64 = 0.04;
 const FALLING: f64 = 0.06;
 /// Time in which the torque limits fall to zero if all joints have positions [s].
 const RAMP_TIME: f64 = 0.6;
+/// Factors by which the true stiffness of a servo may be larger or smaller than the assumed one, where the lead of a
+/// joint is larger than its torque limit allows.
+const STIFFER: f64 = 2.5;
+const SOFTER: f64 = 2.0;
+/// Speed at which such a lead shrinks when the joint may begin to sink [rad/s], and longest time that it may take [s].
+const SHRINK_SPEED: f64 = 0.15;
+const SHRINK_TIME: f64 = 3.0;
 /// Share of the torque limits that remains while the arm moves.
 const LAST_SHARE: f64 = 0.05;
 /// Time in which the torque limits fall to zero if a joint has no position [s].
@@ -132,7 +139,8 @@ const HISTORY: usize = 256;
 /// Phase of a descent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum LoweringPhase {
-    /// Moves toward the rest pose: the goals move at `u = 4/s (q_rest − q)`.
+    /// Moves toward the rest pose: the goals move at `u = 4/s (q_rest − q)`. Leads that are larger than the torque limits
+    /// allow shrink before.
     Rest,
     /// Descends until no joint holds a load.
     Down,
@@ -254,6 +262,9 @@ pub struct Lowering {
     unmodelled_lead: JointVec,
     /// Filtered lead with which a joint last moved freely toward the rest pose [rad].
     free_lead: JointVec,
+    /// Start position of each joint whose lead is larger than its torque limit allows [rad], until its lead is known to
+    /// carry it; `None` for the other joints.
+    saturated_at: [Option<f64>; MAX_JOINTS],
     positions: History,
     goals: History,
     /// Height of the tool at the start of the descent, along `up` in base axes [m].
@@ -336,6 +347,7 @@ impl Lowering {
             least_lead: [0.0; MAX_JOINTS],
             unmodelled_lead: [0.0; MAX_JOINTS],
             free_lead: [0.0; MAX_JOINTS],
+            saturated_at: [None; MAX_JOINTS],
             positions: History::new(0.0, &q),
             goals: History::new(0.0, &q),
             start_height: points.evaluate(&q).tool_height(&up),
@@ -370,6 +382,10 @@ impl Lowering {
         }
         lowering.lead = std::array::from_fn(|i| lowering.goal[i] - q[i]);
         lowering.free_lead = lowering.lead;
+        lowering.saturated_at = std::array::from_fn(|i| {
+            let is_saturated = lowering.kp[i] * lowering.lead[i].abs() > lowering.torque_limit[i];
+            (lowering.phase == LoweringPhase::Rest && is_saturated).then_some(q[i])
+        });
         lowering.lead_size = lowering.lead.map(f64::abs);
         lowering.least_lead = lowering.lead_size;
         lowering.unmodelled_lead = std::array::from_fn(|i| lowering.lead[i] - modelled[i]);
@@ -469,6 +485,9 @@ impl Lowering {
         self.goals.push(self.time, &before);
         if self.phase == LoweringPhase::Ramp {
             self.release(elapsed, fastest, lost);
+        } else if self.phase == LoweringPhase::Rest && self.saturated_at.iter().any(Option::is_some) {
+            self.shrink_leads(dt, &gravity, lost);
+            self.update_limit(dt, &gravity);
         } else {
             let mut u = if self.phase == LoweringPhase::Rest {
                 self.toward_rest(elapsed)
@@ -546,6 +565,40 @@ impl Lowering {
             self.standstill += dt;
         }
         away.map(|away| REST_RATE * away)
+    }
+
+    /// Shrinks each lead that is larger than the torque limit allows until the joint sinks, before the arm moves toward
+    /// the rest pose; the other joints keep their goals.
+    ///
+    /// A program that ended while torque came on leaves such leads. On the way to the rest pose these joints would stay
+    /// where they are while the others move, which may lift the arm.
+    fn shrink_leads(&mut self, dt: f64, gravity: &JointVec, lost: &[bool; MAX_JOINTS]) {
+        for i in (0..self.n).filter(|i| !lost[*i]) {
+            let Some(start) = self.saturated_at[i] else { continue };
+            let (lead, largest) = (self.goal[i] - self.q[i], self.torque_limit[i] / self.kp[i]);
+            let sunk = (start - self.q[i]) * sign(gravity[i]) > SINKING.max(2.0 * self.encoder_step[i]);
+            if sunk || lead.abs() <= largest / STIFFER {
+                self.saturated_at[i] = None;
+                // Friction carries a part of the weight of a joint that begins to sink.
+                let friction = if sunk { sign(gravity[i]) * self.friction[i] / self.kp[i] } else { 0.0 };
+                self.free_lead[i] = lead + friction;
+                // The torque is below its limit, so that the limit may rise to that of a joint that moves.
+                self.holding_torque[i] = self.torque_limit[i];
+                continue;
+            }
+            let speed = if lead.abs() > SOFTER * largest { MAX_JOINT_SPEED } else { SHRINK_SPEED };
+            self.goal[i] -= clip(lead, speed * dt);
+        }
+        if self.phase_time > SHRINK_TIME {
+            for i in 0..self.n {
+                if self.saturated_at[i].take().is_some() {
+                    self.free_lead[i] = self.goal[i] - self.q[i];
+                }
+            }
+        }
+        if self.saturated_at.iter().all(Option::is_none) {
+            self.phase_time = 0.0;
+        }
     }
 
     /// Keeps each lead within the torque margin of the lead with which the joint last moved freely.
