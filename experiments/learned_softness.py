@@ -101,7 +101,9 @@ class Trial:
 
 
 def search(kind: str, seed: int) -> list[dict[str, Any]]:
-    """Search the parameters of one kind; return the measurements, the last on the test doors.
+    """Optimize a constant action or a policy with CMA-ES; return its measurements in order.
+
+    The last measurement is that of the best validated parameters on the test doors.
 
     Args:
         kind: "constant" or "policy".

@@ -3141,8 +3141,9 @@ class JointFollower:
     Args:
         model: The arm.
         servos: Assumed servo parameters; None: those of the model.
-        max_force: Largest force at the tool along x, y, z of the base [N]: a number, or one per
-            axis; inf: the servos' usable torque. Friction of the gears comes on top.
+        max_force: Largest force at the tool along x, y, z of the base [N], without gear friction: a
+            number, or one per axis. Each joint may exert the torque of the axis that loads it most,
+            so the force along other axes may exceed theirs; one inf lifts all bounds.
         max_tool_speed: Speed limit of the tool [m/s]; inf for none.
         max_joint_speed: Speed limit of each joint [rad/s]; inf for none.
 

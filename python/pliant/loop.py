@@ -226,8 +226,8 @@ class Tick:
             True if the command was sent.
 
         Raises:
-            ShapeError, ConfigError, OutOfRangeError: The command has the wrong number of joints, or
-                a negative limit.
+            ShapeError, ConfigError, OutOfRangeError: The command has the wrong number of joints, a
+                negative limit, or a goal far outside the position limits; or `extra` is invalid.
             TypeError: The object is not a command.
             ServoError: Torque is off, or the connection is gone.
         """

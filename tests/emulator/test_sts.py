@@ -190,3 +190,11 @@ def test_broadcast_ping_is_answered_by_all_and_sync_read_skips_the_silent():
 def test_a_broken_request_is_not_answered():
     line, _ = single_servo("STS3215")
     assert ask(line, b"\xff\xff\x01\x02\x01\x00") == b""
+
+
+@pytest.mark.parametrize("id", [252, 253])
+def test_a_servo_with_a_large_id_answers(id):
+    # Packets to id 253 begin like those of Protocol 2.0, FF FF FD.
+    line = wire(Device("STS3215", id))
+    assert ask(line, p1(id, 1)) == p1(id, 0)
+    assert ask(line, p1(id, 2, 5, 1)) == p1(id, 0, id)

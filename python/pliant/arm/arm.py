@@ -317,7 +317,10 @@ class Arm:
             raise
 
     def _close(self) -> None:
-        """Do the work of `close`; a signal before signals are held back changes nothing."""
+        """Lower the arm or leave it enabled, close the drive, then deliver stored signals.
+
+        If a signal raises before signals are held back, torque is still on, and `close` retries.
+        """
         if self._supervisor.is_owned_elsewhere:
             return
         if self._signals is not None:

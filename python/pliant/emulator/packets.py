@@ -133,9 +133,7 @@ class Framer:
         available = len(buffer) - at
         if available < 4:
             return None
-        if buffer[at + 2] == 0xFD:
-            if buffer[at + 3] != 0x00:
-                return 0
+        if buffer.startswith(HEADER_2, at):
             if available < 7:
                 return None
             length = int.from_bytes(buffer[at + 5 : at + 7], "little")

@@ -108,7 +108,7 @@ CALL = "uint64 sequence\nstring what\nstring arguments\nfloat64 dt\n" + "".join(
 
 
 def numbers(pieces: dict[str, Array], names: Iterable[str]) -> dict[str, Any]:
-    """Return the named pieces as message fields by name; a piece of only NaN as an empty list."""
+    """Return the named pieces as message fields: a number, or a list that is empty if all NaN."""
     out: dict[str, Any] = {}
     for name in names:
         values = pieces[name]

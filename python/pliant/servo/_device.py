@@ -345,7 +345,10 @@ class Device:
 
     @property
     def is_driven(self) -> bool:
-        """True if torque is on and neither a fault nor a mismatch of registers is known."""
+        """True if torque is on, goal and limit read back as written, and `other_faults` is empty.
+
+        Faults that the servo itself reports are not considered.
+        """
         return self._enabled and not (self.has_mismatch or self.other_faults)
 
     def note_command(self, time: float) -> None:

@@ -590,7 +590,8 @@ def write_groups(devices: Iterable[Device], serial: SerialPort | None = None) ->
 
 #: Topics of faults that move a servo to the front of the status readings.
 URGENT_FAULTS = frozenset({"torque", "jump", "port"})
-#: Number of control cycles per request for the torque state of all servos.
+#: Number of control cycles per request for the torque state of the enabled servos of one port; the
+#: ports take turns.
 TORQUE_PERIOD = 3
 
 

@@ -54,7 +54,7 @@ class Register:
 
 
 class Block(NamedTuple):
-    """Contiguous registers that one transaction reads.
+    """Contiguous registers that one transaction reads or writes.
 
     Attributes:
         address: Address of the first byte.
@@ -236,7 +236,7 @@ class Family:
 
     @cached_property
     def stored_command_blocks(self) -> tuple[Block, ...]:
-        """Blocks with goal and limit: one per write packet."""
+        """Blocks of the goal and limit registers, to read the last command back: one per packet."""
         return tuple(
             self.block(*(name for name in names if name in {"goal", "limit"}))
             for names in self.write

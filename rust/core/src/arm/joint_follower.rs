@@ -50,7 +50,9 @@ const LONGEST_STEP: f64 = 0.1;
 /// Options of [`JointFollower`].
 #[derive(Debug, Clone, Copy)]
 pub struct JointFollowerOptions {
-    /// Largest force at the tool along x, y and z of the base [N]; ∞: limited by the servos' usable torque only.
+    /// Largest force at the tool along x, y and z of the base [N]. Each joint may exert the torque that the axis
+    /// which loads it most needs, so with different values the force along the other axes may exceed theirs. One ∞
+    /// lifts all three bounds: only the usable torque of the servos then limits the force.
     pub max_force: [f64; 3],
     /// Speed limit of the tool point [m/s]; ∞ for none.
     pub max_tool_speed: f64,

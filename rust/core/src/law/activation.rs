@@ -67,8 +67,9 @@ impl Activation<JointVec16> {
         }
     }
 
-    /// Returns A of equation (10) of the paper for the task rows of a step, the gradient of its null-space cost and λ =
-    /// `damping`. `sigma` returns the smallest and the largest singular value of the scaled rows.
+    /// Returns A of equation (10) of the paper for one control step, computed from its task rows, the `gradient` of its
+    /// null-space cost and the damping λ of the inverse. `sigma` returns the smallest and largest singular value of the
+    /// scaled rows.
     pub(crate) fn of_step(
         params: &Params,
         rows: &Rows,

@@ -98,7 +98,8 @@ impl ControlLaw for Cap {
         (input.joint_offsets(wrench, input.null_motion(), input.friction(ahead)), None)
     }
 
-    /// Returns `h K_x ẽ / (C_jj + (1 − w) λ²/k̄)`, with the step `h K_x ẽ` within its limit.
+    /// Returns the force [N, N·m] that opposes the push without a force cap: `s / (C_jj + (1 − w) λ²/k̄)`, where the
+    /// step `s = h K_x ẽ` [m, rad] is within the step limit of the axis.
     fn force_at(push: &AxisPush<'_>) -> f64 {
         let (params, h) = (push.params, push.horizon);
         let axis = &params.per_axis[push.row];

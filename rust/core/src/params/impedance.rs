@@ -95,7 +95,8 @@ pub(super) fn check(model: &Model, settings: &Settings, params: &Params) -> Resu
     Ok(())
 }
 
-/// Returns the median over the joint space of `ρ(gains) / max`; 0 if the bound `max` is infinite.
+/// Returns the ratio [`rho`] of the axes' gains (stiffness or damping) to the servos' stiffness, as the median over the
+/// joint space and divided by its bound `max`; 0 if `max` is infinite.
 fn overshoot(model: &Model, params: &Params, gains: &AxisVec, max: f64) -> f64 {
     if max.is_infinite() || gains.iter().all(|&gain| gain <= 0.0) {
         return 0.0;

@@ -60,7 +60,7 @@ pub(crate) fn flush_subnormals<J: JointVector>(q: J) -> J {
     J::select_lt(J::abs(q), J::splat(NEGLIGIBLE), J::splat(0.0), q)
 }
 
-/// Number of values in a [`F64x8`], and maximum number of lanes of a register.
+/// Number of values in an [`F64x8`], and maximum number of lanes of a register.
 pub(crate) const LANES: usize = 8;
 
 /// A type with `+ − * /` and negation.
