@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use pliant_core::analysis::{check_path, check_pose, raise_soft, report, report_at};
 use pliant_core::params::{
-    Axis, CompliantSide, Damping, Gain, Law, LimitRule, PaperOptions, Task, TorqueLimits, Tracking,
+    Axis, CompliantSide, Damping, Frame, Gain, Law, LimitRule, PaperOptions, Task, TorqueLimits, Tracking,
 };
 use pliant_core::{Controller, Model, ModelOptions, Payload, Reference, Servos, Settings, StepInput};
 
@@ -482,5 +482,29 @@ fn reports_support_fewer_axes_and_other_frames() {
             .fold(f64::INFINITY, f64::min);
         common::close("tool's y", report.axes[0].static_force[1], expected, 1e-9 * (1.0 + expected.abs()));
         assert!(report.axes.iter().flat_map(|axis| axis.host_loss_force).all(f64::is_finite));
+    }
+}
+
+#[test]
+fn pushes_are_along_the_axes_of_the_task() {
+    // Task axes turned by 90° about z: x' is y of the base, y' is −x.
+    let turned = Frame::Rotation([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]);
+    let settings = Settings { task: Task { frame: turned, ..Task::parse("all").unwrap() }, ..Settings::default() };
+    let [base, turned] =
+        [Settings::default(), settings].map(|settings| report_at(&controller(settings), &GRASP).unwrap());
+    for (axis, other, is_reversed) in [(0, 1, false), (1, 0, true), (2, 2, false), (3, 4, false), (4, 3, true)] {
+        let (got, expected) = (&turned.axes[axis], &base.axes[other]);
+        for side in [0, 1] {
+            let of = if is_reversed { 1 - side } else { side };
+            for (got, expected) in [
+                (got.path_friction[side], expected.path_friction[of]),
+                (got.path_distance[side], expected.path_distance[of]),
+                (got.path_sigma[side], expected.path_sigma[of]),
+                (got.host_loss_force[side], expected.host_loss_force[of]),
+            ] {
+                assert!((got - expected).abs() <= 1e-6 * (1.0 + expected.abs()), "{axis} {side}: {got} {expected}");
+            }
+            assert_eq!(got.stop[side].map(|stop| stop.joint), expected.stop[of].map(|stop| stop.joint));
+        }
     }
 }
