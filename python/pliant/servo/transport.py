@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
-from concurrent.futures import ThreadPoolExecutor
+import threading
 from contextlib import suppress
 from glob import glob
 from typing import TYPE_CHECKING, Any, Literal, Protocol
@@ -329,15 +329,21 @@ def _cannot_open(port: str, text: str) -> str:
 
 
 def _wait_for(request: Callable[..., Any], *arguments: Any) -> Any:
-    """Return the result of a request of rustypot, also if a timer interrupts this thread.
+    """Return the result of a request of rustypot, during which no periodic timer runs.
 
-    Each signal starts rustypot's wait for a reply again, so a periodic one would let it wait for
-    ever. Signals interrupt the main thread, so the request runs in another one then.
+    Each signal that interrupts this thread starts rustypot's wait for a reply again, so a periodic
+    one would let it wait for ever. Signals interrupt the main thread only.
     """
     if sys.platform == "win32" or not signal.getitimer(signal.ITIMER_REAL)[1]:
         return request(*arguments)
-    with ThreadPoolExecutor(1) as pool:
-        return pool.submit(request, *arguments).result()
+    if threading.current_thread() is not threading.main_thread():
+        return request(*arguments)
+    rest, interval = signal.setitimer(signal.ITIMER_REAL, 0.0)
+    try:
+        return request(*arguments)
+    finally:
+        # A rest of 0 would stop the timer.
+        signal.setitimer(signal.ITIMER_REAL, max(rest, 1e-6), interval)
 
 
 def _descriptors(path: str) -> set[int]:
