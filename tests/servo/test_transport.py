@@ -386,7 +386,7 @@ def test_a_closed_port_is_free_while_another_thread_starts_a_program(protocol):
 
 
 TIMED = """
-import atexit, os, signal
+import atexit, os, signal, time
 from pliant.servo import BusError, RustypotTransport
 master, slave = os.openpty()
 transport = RustypotTransport(os.ttyname(slave), 1_000_000, {protocol!r}, 0.05)
@@ -398,7 +398,9 @@ for request in (lambda: transport.ping(7), lambda: transport.write(7, 64, b"1"))
         print(request())
     except BusError as error:
         print(error.reason)
-assert handled and signal.getitimer(signal.ITIMER_REAL)[1] == 0.005
+handled.clear()
+while len(handled) < 3:  # the timer goes on
+    time.sleep(0.001)
 # A descent at the end of the program makes requests when no thread can start any more.
 atexit.register(lambda: print(transport.ping(8)))
 """
