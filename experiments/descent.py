@@ -4,7 +4,8 @@
 the worst values per arm, over random poses with random errors of the assumptions, in free air and
 over a table, and for the ready pose. With `--bytes` the arm has emulated servos on a serial port,
 in emulated time. With `--hand` torque comes on while a hand holds the arm; the hand lets the arm go
-at once, and the arm is not lowered.
+at once, and the arm is not lowered. With `--park` the arm moves to its rest pose before it is
+lowered.
 """
 
 from __future__ import annotations
@@ -234,6 +235,48 @@ class HandJob(Case):
         )
 
 
+@dataclass(frozen=True, kw_only=True)
+class ParkResult:
+    """Result of a descent through the rest pose.
+
+    Attributes:
+        beyond: Largest height of the tool above the highest point of the straight path in joint
+            space from the start to the rest pose [m].
+        speed: Largest speed of the tool [m/s].
+        missed: Smallest distance from the rest pose, that of the farthest joint [rad].
+        seconds: Duration of `Arm.park` [s].
+    """
+
+    beyond: float
+    speed: float
+    missed: float
+    seconds: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class ParkJob(Case):
+    """One run: torque on, motion to the rest pose, and descent."""
+
+    def run(self) -> ParkResult:
+        """Enable the arm, park it, and return the recorded result."""
+        rest = np.asarray(configuration(self.arm).life.rest_q)
+        with _over_bytes(self) if self.on_bytes else _simulated(self) as (arm, recorder):
+            self.enable(arm, recorder)
+            recorder.begin()
+            recorder.rest_q = rest
+            start, begin = recorder.plant.q, arm.clock.now()
+            path = [start + share * (rest - start) for share in np.linspace(0.0, 1.0, 50)]
+            height = max(arm.model.forward_kinematics(q)[2, 3] for q in path)
+            arm.park(rest)
+            seconds, seen = arm.clock.now() - begin, recorder.seen
+        return ParkResult(
+            beyond=float(seen.rise + recorder.start[2] - height),
+            speed=seen.speed,
+            missed=seen.distance,
+            seconds=seconds,
+        )
+
+
 class HandDrive(SimDrive):
     """Simulated drive that reports torque off until `enable`.
 
@@ -277,12 +320,17 @@ class SlowDrive(SimDrive):
 
 @dataclass
 class Peaks:
-    """Largest values since `PeakRecorder.begin`, as in `DescentResult`."""
+    """Extreme values since `PeakRecorder.begin`, as in `DescentResult`.
+
+    Attributes:
+        distance: Smallest distance from the rest pose, that of the farthest joint [rad].
+    """
 
     moved: float = 0.0
     rise: float = -np.inf
     speed: float = 0.0
     force: float = 0.0
+    distance: float = np.inf
 
 
 class PeakRecorder:
@@ -290,7 +338,8 @@ class PeakRecorder:
 
     Attributes:
         plant: Simulation with the true state.
-        seen: Largest values since `begin`.
+        seen: Extreme values since `begin`.
+        rest_q: Rest pose (n,) [rad] from which `seen.distance` is measured, or `None`.
         strain: Largest torque share since `begin`, as in `DescentResult`.
         start: Position of the tool at `begin` (3,) [m].
     """
@@ -298,6 +347,7 @@ class PeakRecorder:
     def __init__(self, job: Case, plant: Plant) -> None:
         """Store the simulation, and place the table under the arm if the job has one."""
         self.plant, self._load = plant, job.truth.load
+        self.rest_q: Array | None = None
         if job.over_table:
             plant.set_hands(table(min(plant.tool[2, 3], plant.wrist[2]) - TABLE))
         self.begin()
@@ -316,6 +366,8 @@ class PeakRecorder:
         seen.rise = max(seen.rise, float(tool[2] - self.start[2]))
         twist = plant.ground_truth.frame("tool").twist()
         seen.speed = max(seen.speed, float(np.linalg.norm(twist[:3])))
+        if self.rest_q is not None:
+            seen.distance = min(seen.distance, float(np.abs(plant.q - self.rest_q).max()))
         self._steps += steps
         self._force += steps * np.array([felt.force for felt in plant.hands]).reshape(-1, 3)
         if self._steps < plant.steps:
@@ -533,6 +585,25 @@ def in_hand(
     ]
 
 
+def to_rest(name: str, count: int, *, seed: int = 0, on_bytes: bool = False) -> list[ParkJob]:
+    """Return runs in which the arm moves to its rest pose before it is lowered, in free air.
+
+    The poses and parameters are those of `descents`.
+    """
+    return [
+        ParkJob(
+            arm=name,
+            number=job.number,
+            over_table=False,
+            on_bytes=on_bytes,
+            q=job.q,
+            truth=job.truth,
+        )
+        for job in descents(name, count, seed=seed, on_bytes=on_bytes)
+        if not job.over_table
+    ]
+
+
 def rows(name: str, work: Sequence[Job], seen: Sequence[DescentResult]) -> list[str]:
     """Return lines of the table, with worst value, median, and number of the worst pose."""
     pairs = list(zip(work, seen, strict=True))
@@ -571,6 +642,12 @@ def hand_rows(name: str, work: Sequence[HandJob], seen: Sequence[HandResult]) ->
     return _lines(name, cases, columns)
 
 
+def park_rows(name: str, work: Sequence[ParkJob], seen: Sequence[ParkResult]) -> list[str]:
+    """Return lines of the table of motions to the rest pose, as `rows` does."""
+    columns = (("beyond", 1e3, 0), ("speed", 1.0, 2), ("missed", 1.0, 2), ("seconds", 1.0, 0))
+    return _lines(name, {"free": list(zip(work, seen, strict=True))}, columns)
+
+
 def _lines(
     name: str,
     cases: dict[str, list[tuple[Any, Any]]],
@@ -594,6 +671,14 @@ def _lines(
 
 
 HAND_COLUMNS = ("arm", "runs", "moves [mm]", "speed [m/s]", "in the end [mm]", "takes [s]")
+PARK_COLUMNS = (
+    "arm",
+    "runs",
+    "above the straight path [mm]",
+    "speed [m/s]",
+    "away from the rest pose [rad]",
+    "takes [s]",
+)
 COLUMNS = (
     "arm",
     "runs",
@@ -619,6 +704,7 @@ def main(
     jobs: int = 1,
     each: bool = False,
     hand: bool = False,
+    park: bool = False,
     over_bytes: Annotated[bool, tyro.conf.arg(name="bytes")] = False,
     usb_latency: float = 0.0,
     cycle: float = 0.0,
@@ -632,11 +718,13 @@ def main(
         jobs: Number of processes.
         each: True prints every run too.
         hand: True switches torque on in a hand, and does not lower the arm.
+        park: True moves the arm to its rest pose before it is lowered, in free air.
         over_bytes: True uses emulated servos on a serial port, in emulated time.
         usb_latency: Latency timer of the adapter of this port [s], only with `hand`.
         cycle: Time that a command takes on the simulated bus [s].
     """
-    print(program.head(HAND_COLUMNS if hand else COLUMNS), flush=True)
+    columns = HAND_COLUMNS if hand else PARK_COLUMNS if park else COLUMNS
+    print(program.head(columns), flush=True)
     for name in arm or ARMS:
         if not is_here(name):
             print(f"{name}: no description beside the project, skipped")
@@ -648,6 +736,14 @@ def main(
                 for start, result in zip(held, results, strict=True):
                     print(f"    {start.number} {result}", flush=True)
             print("\n".join(hand_rows(name, held, results)), flush=True)
+            continue
+        if park:
+            parked = to_rest(name, poses, seed=seed, on_bytes=over_bytes)
+            reached = list(run_jobs(parked, jobs, f"rest pose of {name}"))
+            if each:
+                for going, end in zip(parked, reached, strict=True):
+                    print(f"    {going.number} {end}", flush=True)
+            print("\n".join(park_rows(name, parked, reached)), flush=True)
             continue
         work = descents(name, poses, seed=seed, on_bytes=over_bytes, cycle=cycle)
         seen: list[DescentResult] = []

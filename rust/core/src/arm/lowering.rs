@@ -41,6 +41,13 @@ const MAX_JOINT_SPEED: f64 = 0.8;
 const MIN_SPEED_LIMIT: f64 = 0.01;
 /// Ratio of goal speed to the joint's distance from the rest pose [1/s].
 const REST_RATE: f64 = 4.0;
+/// Distance from the rest pose within which a joint does not make the others wait [rad].
+const REST_MARGIN: f64 = 0.05;
+/// Angle by which a joint may be ahead of the one that has the largest share of its way to the rest pose left [rad].
+/// Its goal slows down until then, stops there, and moves back beyond.
+const MAX_AHEAD: f64 = 0.03;
+/// Time in which a joint that stands still on the way to the rest pose doubles its push [s].
+const PUSH_GROWTH_TIME: f64 = 0.5;
 /// Ratio of goal speed to the excess of the lead when descending without a rest pose [1/s].
 const DOWN_RATE: f64 = 40.0;
 /// Largest share of the excess of the lead that a goal moves in one tick. Above 1, the goals of an arm on a slow line
@@ -244,6 +251,8 @@ pub struct Lowering {
     speed: f64,
     impact_force: f64,
     rest_q: Option<JointVec>,
+    /// Positions at which the way to the rest pose begins [rad].
+    rest_start: JointVec,
     phase: LoweringPhase,
     blind: bool,
     q: JointVec,
@@ -260,10 +269,12 @@ pub struct Lowering {
     least_lead: JointVec,
     /// Measured minus modelled lead [rad]; added to the modelled lead while no positions arrive.
     unmodelled_lead: JointVec,
-    /// Filtered lead with which a joint last moved freely toward the rest pose [rad].
+    /// Filtered lead with which a joint last moved freely toward the rest pose [rad]; its push is the lead beyond.
     free_lead: JointVec,
-    /// Start position of each joint whose lead is larger than its torque limit allows [rad], until its lead is known to
-    /// carry it; `None` for the other joints.
+    /// Increase of that push for a joint that stands still on the way to the rest pose [rad].
+    extra_push: JointVec,
+    /// Position at the start of this phase of each joint whose servo is saturated, k_p |lead| above the torque limit
+    /// [rad]; `None` for the other joints, and once the joint sinks or its lead is within the limit.
     saturated_at: [Option<f64>; MAX_JOINTS],
     positions: History,
     goals: History,
@@ -335,6 +346,7 @@ impl Lowering {
             speed: start.speed,
             impact_force: IMPACT_FORCE * (model.reach() / FULL_FORCE_REACH).min(1.0),
             rest_q,
+            rest_start: q,
             phase: if rest_q.is_some() { LoweringPhase::Rest } else { LoweringPhase::Down },
             blind: false,
             q,
@@ -347,6 +359,7 @@ impl Lowering {
             least_lead: [0.0; MAX_JOINTS],
             unmodelled_lead: [0.0; MAX_JOINTS],
             free_lead: [0.0; MAX_JOINTS],
+            extra_push: [0.0; MAX_JOINTS],
             saturated_at: [None; MAX_JOINTS],
             positions: History::new(0.0, &q),
             goals: History::new(0.0, &q),
@@ -509,7 +522,7 @@ impl Lowering {
                 self.goal[i] += dt * u[i];
             }
             if self.phase == LoweringPhase::Rest {
-                self.limit_lead(&gravity, &u);
+                self.limit_lead(dt, &gravity, &u);
             }
             self.update_limit(dt, &gravity);
             self.change_phase(elapsed, &here, &gravity, &idle, fastest);
@@ -564,7 +577,17 @@ impl Lowering {
         } else {
             self.standstill += dt;
         }
-        away.map(|away| REST_RATE * away)
+        // The joints keep to the straight line from the start to the rest pose: if one stood still where its load is too
+        // heavy while the others move, the tool might rise.
+        let way: JointVec = std::array::from_fn(|i| (rest[i] - self.rest_start[i]).abs().max(REST_MARGIN));
+        let left: JointVec = std::array::from_fn(|i| {
+            if self.is_outward(i, away[i]) { 0.0 } else { (away[i].abs() - REST_MARGIN).max(0.0) / way[i] }
+        });
+        let slowest = left.iter().copied().fold(0.0, f64::max);
+        std::array::from_fn(|i| {
+            let ahead = (slowest - left[i]) * way[i] / MAX_AHEAD;
+            REST_RATE * away[i] * ((1.0 - ahead).max(0.0) - (ahead - 2.0).clamp(0.0, 1.0))
+        })
     }
 
     /// Shrinks each lead that is larger than the torque limit allows until the joint sinks, before the arm moves toward
@@ -597,20 +620,28 @@ impl Lowering {
             }
         }
         if self.saturated_at.iter().all(Option::is_none) {
-            self.phase_time = 0.0;
+            (self.phase_time, self.rest_start) = (0.0, self.q);
         }
     }
 
-    /// Keeps each lead within the torque margin of the lead with which the joint last moved freely.
-    fn limit_lead(&mut self, gravity: &JointVec, u: &JointVec) {
+    /// Keeps each lead within the torque margin of the lead with which the joint last moved freely; for a joint that
+    /// stands still with it, within up to twice the margin.
+    fn limit_lead(&mut self, dt: f64, gravity: &JointVec, u: &JointVec) {
         let speed = self.joint_velocities();
         for i in 0..self.n {
-            let push = self.margin(i, gravity[i]) / self.kp[i];
+            let margin = self.margin(i, gravity[i]) / self.kp[i];
             let lead = self.goal[i] - self.q[i];
             if speed[i].abs() > 0.3 * u[i].abs() {
                 self.free_lead[i] += 0.2 * (lead - self.free_lead[i]);
+                self.extra_push[i] -= 0.2 * self.extra_push[i];
+            } else if (lead - self.free_lead[i]) * sign(u[i]) >= margin + self.extra_push[i] {
+                self.extra_push[i] = (self.extra_push[i] + margin * dt / PUSH_GROWTH_TIME).min(margin);
             }
-            self.goal[i] = self.q[i] + lead.max(self.free_lead[i] - push).min(self.free_lead[i] + push);
+            let push = margin + self.extra_push[i];
+            // The load of a joint at its torque limit may end suddenly: it must not jump far then.
+            let largest = SOFTER * self.max_torque[i] / self.kp[i];
+            let lead = lead.max(self.free_lead[i] - push).min(self.free_lead[i] + push);
+            self.goal[i] = self.q[i] + clip(lead, largest);
         }
     }
 
