@@ -240,6 +240,7 @@ class ParkResult:
     """Result of a descent through the rest pose.
 
     Attributes:
+        apart, strain: As in `DescentResult`.
         beyond: Largest height of the tool above the highest point of the straight path in joint
             space from the start to the rest pose [m].
         speed: Largest speed of the tool [m/s].
@@ -247,6 +248,8 @@ class ParkResult:
         seconds: Duration of `Arm.park` [s].
     """
 
+    apart: float
+    strain: float
     beyond: float
     speed: float
     missed: float
@@ -269,7 +272,10 @@ class ParkJob(Case):
             height = max(arm.model.forward_kinematics(q)[2, 3] for q in path)
             arm.park(rest)
             seconds, seen = arm.clock.now() - begin, recorder.seen
+            ratio = np.log(recorder.stiffness() / np.asarray(arm.servos.kp))
         return ParkResult(
+            apart=float(np.exp(np.abs(ratio).max())),
+            strain=recorder.strain,
             beyond=float(seen.rise + recorder.start[2] - height),
             speed=seen.speed,
             missed=seen.distance,
@@ -645,7 +651,12 @@ def hand_rows(name: str, work: Sequence[HandJob], seen: Sequence[HandResult]) ->
 def park_rows(name: str, work: Sequence[ParkJob], seen: Sequence[ParkResult]) -> list[str]:
     """Return lines of the table of motions to the rest pose, as `rows` does."""
     columns = (("beyond", 1e3, 0), ("speed", 1.0, 2), ("missed", 1.0, 2), ("seconds", 1.0, 0))
-    return _lines(name, {"free": list(zip(work, seen, strict=True))}, columns)
+    pairs = list(zip(work, seen, strict=True))
+    cases = {
+        "free": [(job, one) for job, one in pairs if one.strain < 1.0],
+        "too weak": [(job, one) for job, one in pairs if one.strain >= 1.0],
+    }
+    return _lines(name, cases, columns)
 
 
 def _lines(

@@ -41,8 +41,6 @@ const MAX_JOINT_SPEED: f64 = 0.8;
 const MIN_SPEED_LIMIT: f64 = 0.01;
 /// Ratio of goal speed to the joint's distance from the rest pose [1/s].
 const REST_RATE: f64 = 4.0;
-/// Distance from the rest pose within which a joint does not make the others wait [rad].
-const REST_MARGIN: f64 = 0.05;
 /// Angle by which a joint may be ahead of the one that has the largest share of its way to the rest pose left [rad].
 /// Its goal slows down until then, stops there, and moves back beyond.
 const MAX_AHEAD: f64 = 0.03;
@@ -55,7 +53,7 @@ const DOWN_RATE: f64 = 40.0;
 const MAX_GAIN: f64 = 0.8;
 /// Time in which the goals' speed rises from zero at the start of a phase [s].
 const FADE_IN: f64 = 0.2;
-/// Largest distance of a joint from the rest pose at which the arm counts as arrived [rad].
+/// Largest distance of a joint from the rest pose at which the joint counts as arrived [rad].
 const ARRIVED: f64 = 0.02;
 /// Smallest decrease of the distance to the rest pose that counts as progress [rad].
 const MIN_PROGRESS: f64 = 0.01;
@@ -577,11 +575,11 @@ impl Lowering {
         } else {
             self.standstill += dt;
         }
-        // The joints keep to the straight line from the start to the rest pose: if one stood still where its load is too
-        // heavy while the others move, the tool might rise.
-        let way: JointVec = std::array::from_fn(|i| (rest[i] - self.rest_start[i]).abs().max(REST_MARGIN));
+        // A joint whose load is too heavy stands still. If the others moved on, they might lift the tool, so all joints stay
+        // near the straight line from the start to the rest pose.
+        let way: JointVec = std::array::from_fn(|i| (rest[i] - self.rest_start[i]).abs().max(ARRIVED));
         let left: JointVec = std::array::from_fn(|i| {
-            if self.is_outward(i, away[i]) { 0.0 } else { (away[i].abs() - REST_MARGIN).max(0.0) / way[i] }
+            if self.is_outward(i, away[i]) { 0.0 } else { (away[i].abs() - ARRIVED).max(0.0) / way[i] }
         });
         let slowest = left.iter().copied().fold(0.0, f64::max);
         std::array::from_fn(|i| {
