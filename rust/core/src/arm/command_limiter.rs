@@ -25,7 +25,7 @@ pub struct LimiterInput<'a> {
     pub off_chain: &'a [[f64; 2]],
     /// Progress of the ramp from holding torque to usable torque, 0 to 1.
     pub ramp: f64,
-    /// Lower bound of the ramp for each joint of the chain [N·m].
+    /// Lower bound on the torque `holding`, at which the ramp starts, for each joint of the chain [N·m].
     pub ramp_start: &'a [f64],
     /// True if goals may lie beyond the position limits by the lead of the usable torque, to exert a force; false: by
     /// the lead that the gravity torque needs.

@@ -213,7 +213,7 @@ impl Servo {
             counts.min(here.map_or(high, |here| high.max(here))).max(here.map_or(low, |here| low.min(here)))
                 - turns * units.turn
         } else if turns > 0.0 {
-            // Past the seam of a single-turn encoder: the end of the encoder at which the servo stands.
+            // Past the seam of a single-turn encoder, the goal is the end of the encoder at which the servo stands.
             0.0
         } else if turns < 0.0 {
             units.max_position
@@ -267,7 +267,8 @@ impl ServoCodec {
         self.servos.get_mut(servo).ok_or_else(|| unknown("servo", servo))
     }
 
-    /// Sets joint and units of a servo; the first servo of a joint comes first.
+    /// Sets joint and units of a servo. The servos of one joint must have consecutive indices; the lowest index is its
+    /// first servo.
     ///
     /// # Errors
     /// [`Error::OutOfRange`] if there is no such servo or joint.

@@ -313,7 +313,7 @@ impl ContactEstimator {
     /// [`Error::Config`] before the first reading.
     pub fn tare(&mut self) -> Result<()> {
         if !self.state.filters_ready {
-            return Err(Error::config("tare", "nothing has been felt yet: update with a reading first"));
+            return Err(Error::config("tare", "no reading has been processed yet: call update first"));
         }
         (self.tare, self.tared) = (self.state.tare_candidate, true);
         Ok(())

@@ -291,7 +291,7 @@ fn approach<A: RealOps<Real = f64>>(
     if !speed.is_finite() {
         return ([0.0; 3], true);
     }
-    // A speed limit that was lowered during the motion takes effect at once.
+    // A speed limit that was lowered during the motion takes effect immediately.
     let v = clamp_norm::<A>(v, speed);
     let behind = add_scaled::<A>(&d, -dt, &target_velocity_now);
     let distance = norm::<A>(&behind);
@@ -366,7 +366,7 @@ mod tests {
             let target = at(f64::from(tick) * 0.01);
             let x = governor.update::<BaselineF64>(&target, [0.25, 1.0], [1.0, 4.0], 0.01).position[0];
             assert!(x <= target.position[0] + 1e-12, "tick {tick}: {x}");
-            // The reference accelerates within its bound, and brakes as hard as the target, which stops at once.
+            // The reference accelerates within its bound, and brakes as hard as the target, which stops abruptly.
             let change = governor.velocity[0] - before;
             before = governor.velocity[0];
             assert!(change.abs() <= 0.01 + 1e-12 || tick > 100, "tick {tick}: {change} m/s");
@@ -474,7 +474,7 @@ mod tests {
 
     #[test]
     fn every_axis_and_the_rotation_about_it_follow_one_motion() {
-        // A jump, a slow target, a target that stops at once, a faster one, and the way back.
+        // A jump, a slow target, a target that stops abruptly, a faster one, and the way back.
         let at = |tick: u32| match tick {
             0..60 => 0.3,
             60..120 => 0.3 + 0.002 * f64::from(tick - 60),
@@ -506,13 +506,13 @@ mod tests {
     fn a_reference_at_its_target_moves_as_by_the_general_formula() {
         let (speed, acceleration, dt) = ([0.25, 1.0], [1.0, 4.0], 0.01);
         let mut taken = [false; 2];
-        // Speeds of the target along a screw axis: constant, faster, braking at once, jumping, and back.
+        // Speeds of the target along a screw axis: constant, faster, braking abruptly, jumping, and back.
         for (before, now) in [(0.1, 0.1), (0.1, 0.105), (0.1, 0.12), (0.2, 0.0), (0.2, 0.5), (0.1, -0.1)] {
             for axis in AXES {
                 let from = screw(axis, 0.0);
                 let velocity: [f64; 6] = std::array::from_fn(|i| before * axis[i % 3]);
                 let at = ReferenceGovernor { velocity, target_speed: [before; 2], ..ReferenceGovernor::new(from) };
-                // Not equal to the target in every bit, so that the reference takes the general way.
+                // Differs from the target by rounding, so that the reference uses the general path.
                 let mut beside = at;
                 beside.pose.position.iter_mut().for_each(|x| *x += 1e-300);
                 let target = screw(axis, now * dt);

@@ -194,7 +194,7 @@ impl Oracle {
         let rest = match (input.posture, &self.settings.null_space.posture) {
             (Some(p), _) => Vector::from_column_slice(p),
             (None, Some(p)) => Vector::from_column_slice(p),
-            (None, None) => self.memory.rest.clone(),
+            (None, None) => self.state.rest.clone(),
         };
         // Closer to a position limit than w (0.05 rad or 5 % of the range), the posture task fades, to 0 at w / 2. If
         // the rest posture is closer to the limit than w, the fade starts there, with that distance (at least 0.4 w) as
