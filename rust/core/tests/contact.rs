@@ -197,7 +197,7 @@ fn a_tare_removes_constant_errors() {
     let ctl = controller();
     let options = ContactOptions { kp_error: Some(0.2), ..exact_options() };
     let mut contact = ContactEstimator::new(&ctl, options).unwrap();
-    assert!(contact.tare().unwrap_err().to_string().contains("no reading has been processed yet"));
+    assert!(contact.tare().unwrap_err().to_string().contains("there is no estimate yet"));
     let wrong = |truth: &[f64; 6]| -> Vec<f64> {
         holding_torque(ctl.model(), &GRASP, truth).iter().map(|torque| torque / 1.15).collect()
     };

@@ -234,7 +234,7 @@ fn the_gain_is_bounded_by_the_delay() {
     };
     with(pair(3.9), 0.01, 100.0).unwrap();
     assert!(with(pair(4.1), 0.01, 100.0).is_err());
-    // Servos with high damping.
+    // Servos with high damping allow a higher gain.
     let (model, servos) = arm(2);
     let stiff = Settings {
         task: Task::parse("xyz").unwrap(),

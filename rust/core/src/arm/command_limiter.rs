@@ -34,7 +34,8 @@ pub struct LimiterInput<'a> {
 
 /// Limits the goals and torque limits of all N joints of a drive; the chain has n of them.
 ///
-/// With gravity torque g, usable torque `τ_max`, stiffness k_p and the margin m of [`super::torque_margin`], per joint:
+/// With gravity torque g, usable torque `τ_max`, stiffness k_p and the margin m of [`super::torque_margin`], for each
+/// joint of the chain:
 ///
 /// ```text
 /// goal    = clip(goal, lower − ℓ, upper + ℓ),  ℓ = τ_max/k_p, or the lead that g needs on that side
@@ -42,7 +43,8 @@ pub struct LimiterInput<'a> {
 /// limit   = min(limit, holding + ramp (τ_max − holding), max(thermal ceiling, 1.1 |g|))
 /// ```
 ///
-/// The limits of the chain are then reduced to the current of the supply, but not below 1.1 |g|.
+/// The limits of the chain are then reduced to the current of the supply, but not below 1.1 |g|. A joint off the chain
+/// keeps its goal, with a limit of at most its thermal ceiling.
 #[derive(Debug, Clone)]
 pub struct CommandLimiter {
     /// Indices of the n joints of the chain, and of the N − n others, in the order of the drive.

@@ -163,8 +163,8 @@ impl<'a> Batch<'a> {
             && !(has_more && rows.into_iter().any(|row| self.check_optional(row).is_err()))
     }
 
-    /// Returns true if positions and target of arm `row` are valid; for arms of at most [`LANES`] joints. Compiled for the
-    /// plain instruction set only, because other sets gain little.
+    /// Returns true if positions and target of arm `row` are valid; for arms of at most [`LANES`] joints. Compiled for
+    /// the baseline instruction set only, because other sets gain little.
     #[inline(always)]
     fn has_valid_pose(&self, row: usize) -> bool {
         let n = self.model.n();

@@ -228,11 +228,11 @@ impl ReferenceGovernor {
     }
 }
 
-/// If at least this share of the stiff axes' wrench is missing, the reference stops completely.
+/// If at least this share of the stiff axes' wrench or of the goals' motion is missing, the reference stops completely.
 const HOLD_THRESHOLD: f64 = 0.2;
 
-/// Returns the degree, 0 to 1, to which the reference is held back if the arm can exert only `share` of the wrench of
-/// its stiff axes.
+/// Returns the degree, 0 to 1, to which the reference is held back. `share` is the share of the stiff axes' wrench that
+/// the torques allow, or the share of the goals' motion that their speed limit allows, whichever is smaller.
 #[inline(always)]
 pub(crate) fn hold_fraction(share: f64) -> f64 {
     ((1.0 - share) / HOLD_THRESHOLD).min(1.0)
@@ -536,7 +536,7 @@ mod tests {
     fn a_target_at_rest_is_reached_in_the_shortest_time() {
         let (speed, acceleration, dt) = (0.5, 2.0, 0.01);
         for distance in [0.001, 0.01, 0.03, 0.1, 0.2, 0.6] {
-            // With a trapezoid of speed, or a triangle if the distance is too short for the largest speed.
+            // The speed profile is a trapezoid, or a triangle if the distance is too short for the largest speed.
             let shortest = if distance > speed * speed / acceleration {
                 distance / speed + speed / acceleration
             } else {
@@ -583,7 +583,7 @@ mod tests {
         let (moved, lag) = ([1e-4, 2e-4, -1e-4], [0.02, 0.02, 0.01]);
         let gained = (1e-4 * 0.02 + 2e-4 * 0.02 - 1e-4 * 0.01) / 0.0009;
         for share in [0.25, 1.0] {
-            // Scale of the lag, which matters only by its direction.
+            // The length of the lag has no effect, only its direction.
             for scale in [1.0, 7.0] {
                 for acceleration in [0.1, 100.0] {
                     let pose = Pose { position: moved, rotation: rotation_matrix(moved) };
@@ -594,7 +594,7 @@ mod tests {
                     governor.hold_back(&Pose::IDENTITY, &both, share, [[0.5; 2], [acceleration; 2]], dt);
                     let got = [governor.pose.position, turned(&governor.pose)];
                     for (block, deceleration) in [3.0, 12.0].into_iter().enumerate() {
-                        // In units of the lag, whose length is 0.03.
+                        // Motion that is undone, as a multiple of the lag, whose length is 0.03.
                         let taken = f64::min(share * gained, (deceleration + acceleration) * dt * dt / 0.03);
                         for i in 0..3 {
                             let expected = moved[i] - taken * lag[i];

@@ -210,8 +210,8 @@ impl Oracle {
                 }
             }
         }
-        // The fade is scaled by the push on a yielding axis: 0 up to a deviation of d⁻ (at least 0.1 d⁺), 1 from twice
-        // that on.
+        // The fade is multiplied by the strength of the push on a yielding axis: 0 up to a deviation of d⁻ (at least
+        // 0.1 d⁺), 1 above twice this deviation.
         let push_fractions = axis_values.iter().zip(self.axes()).map(|(row, axis)| {
             let (axis_settings, [low, high]) =
                 (&self.settings.axes[axis], if axis < 3 { [0.01, 0.1] } else { [0.04, 0.4] });
