@@ -157,8 +157,8 @@ impl Servo {
         self.units.sign * (position - self.units.zero) * self.units.count
     }
 
-    /// Returns whole turns and unwrapped position for the value of a position register: nearest to the last position or,
-    /// for the first reading of a multi-turn servo, to the middle of its range.
+    /// Returns whole turns and unwrapped position for the value of a position register: nearest to the last position
+    /// or, for the first reading of a multi-turn servo, to the middle of its range.
     fn unwrap(&self, raw: f64) -> (f64, f64) {
         let units = &self.units;
         if units.turn <= 0.0 {

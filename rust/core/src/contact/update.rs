@@ -70,9 +70,9 @@ impl ContactEstimator {
     /// after another; those of `sent` are the commands before each reading.
     ///
     /// # Errors
-    /// [`Error::Shape`] if the arrays do not hold the same number of whole readings; then nothing changes. After an error
-    /// of [`update`](Self::update) for one of the readings, the estimate is unchanged, and the stored commands are
-    /// cleared.
+    /// [`Error::Shape`] if the arrays do not hold the same number of whole readings; then nothing changes. After an
+    /// error of [`update`](Self::update) for one of the readings, the estimate is unchanged, and the stored commands
+    /// are cleared.
     pub fn update_series<'a>(
         &mut self,
         controller: &Controller,
