@@ -41,8 +41,8 @@ def main() -> int:
         Exit code: 1 if a count has grown too much.
     """
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--update", action="store_true", help="store what is counted")
-    parser.add_argument("--binary", type=Path, help="the built bench, in place of building it")
+    parser.add_argument("--update", action="store_true", help="store the counts")
+    parser.add_argument("--binary", type=Path, help="a built bench to use")
     arguments = parser.parse_args()
     stored = json.loads(STORED.read_text(encoding="utf-8")) if STORED.exists() else {}
     try:

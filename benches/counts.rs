@@ -48,7 +48,8 @@ fn rare(model: &Model) -> Vec<(&'static str, States)> {
         *target = model.forward_kinematics(&beyond).expect("a state of this arm");
     }
     let slow = |wave: f64, i: usize| ordinary(wave / 400.0, i);
-    // Within the bounds on speed and acceleration, so that the reference stays at its target, two ticks ahead.
+    // The path is slow, so that the reference, within its bounds on speed and acceleration, stays at the target, which
+    // is two ticks ahead.
     let mut following = make(&slow, 0.0);
     for s in 0..STATES {
         following[s].1 = model.forward_kinematics(&following[(s + 2) % STATES].0).expect("a state of this arm");
@@ -185,7 +186,8 @@ fn stages() -> Vec<(String, Work)> {
     let defaults = Settings::paper();
     let defaults = Settings { tracking: defaults.tracking, null_space: defaults.null_space, ..paper() };
     steps.push(("step paper, default damping and projector".into(), defaults, states.clone()));
-    // Without a gradient, the null-space column holds the row norms of the projector.
+    // In the start posture without a limit cost, the gradient is 0. The null-space column of the activation matrix is
+    // then computed from the row norms of the projector.
     let waiting = Settings { null_space: NullSpace { limit_avoidance: 0.0, ..paper().null_space }, ..paper() };
     steps.push(("step paper, as it started".into(), waiting, vec![states[0].clone(); STATES]));
     for (name, settings, at) in steps {

@@ -3,9 +3,9 @@
     python benches/gym_share.py              # Door
     python benches/gym_share.py Drawer Wipe
 
-Two equal environments with one thread take turns, step by step: one as it is; of the other only the
-physics, with the commands of the first, so that both have the same states. Physics are the steps of
-MuJoCo; in tasks whose forces are computed in Python, also these forces.
+Two equal environments with one thread alternate, step by step. The first one makes complete steps.
+The second one computes the physics only, with the commands of the first, so that both have the same
+states. Physics are the steps of MuJoCo, and the forces in tasks that compute forces in Python.
 """
 
 from __future__ import annotations

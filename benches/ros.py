@@ -112,8 +112,8 @@ class FoxgloveClient:
     """Client of `pliant foxglove`, which speaks Foxglove's protocol over a WebSocket.
 
     Attributes:
-        received: None, because the protocol has no numbers, bytes and time of arrival [s] of each
-            state.
+        received: For each state: None, because the protocol does not number messages; the bytes;
+            and the time of arrival [s].
     """
 
     def __init__(self) -> None:
@@ -182,7 +182,7 @@ def _exchange(
     for index in range(round(RATE * seconds)):
         time.sleep(max(start + index / RATE - time.monotonic(), 0.0))
         phase = 2.0 * math.pi * index / (RATE * PERIOD)
-        # A part of 1 nm per target makes each one unique.
+        # 1 nm more with each target makes the x of every target unique.
         x = at.x - RADIUS * (1.0 - math.cos(phase)) + 1e-9 * index
         position = {"x": x, "y": at.y + RADIUS * math.sin(phase), "z": at.z}
         now = time.time_ns()

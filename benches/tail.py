@@ -2,8 +2,8 @@
 
     python benches/tail.py       options: --steps (default 10⁷) and --turns (default 10⁶)
 
-First, each law makes `--steps` steps through ordinary poses without a pause. Then it makes
-`--turns` steps in all cases together: ordinary poses, near singular poses, joints at their limits,
+First, each law makes `--steps` steps through ordinary poses without a pause. Then both laws make
+`--turns` steps, in all cases together: ordinary poses, near singular poses, joints at their limits,
 saturated torque limits, a constant pose, and denormal numbers. The cases alternate in short blocks,
 so that other programs affect them equally. Every call is timed, with the garbage collector on.
 Rows of empty calls, and of waits as long as a step, show the influence of the system. A block is
@@ -160,7 +160,7 @@ def consecutive(model: pliant.Model, steps: int) -> None:
     }
     length = float(np.median([np.median(blocks["law paper"]()) for _ in range(1000)]))
     blocks = {"(nothing)": nothing, "(as long)": waiter(length), **blocks}
-    print(f"{steps:,} calls in a row [µs]; without calls that do nothing")
+    print(f"{steps:,} calls without a pause [µs], minus the median of empty calls")
     print(f"  {'':12} {'median':>8} {'p99.9':>9} {'p99.99':>9} {'largest':>9}   calm:")
     empty = 0.0
     for name, block in blocks.items():
@@ -178,8 +178,8 @@ def consecutive(model: pliant.Model, steps: int) -> None:
 def main() -> None:
     """Time consecutive steps, then all cases in alternating blocks; print the results."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--steps", type=int, default=10_000_000, help="in a row, of each law")
-    parser.add_argument("--turns", type=int, default=1_000_000, help="of all cases and laws")
+    parser.add_argument("--steps", type=int, default=10_000_000, help="steps of each law in a row")
+    parser.add_argument("--turns", type=int, default=1_000_000, help="steps of all cases and laws")
     arguments = parser.parse_args()
     gc.enable()
     model = pliant.Model.from_urdf(URDF)

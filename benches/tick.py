@@ -78,11 +78,11 @@ STAGES = {
     "status": "drive: status of one servo",
     "status bytes": "drive: transaction of the status",
 }
-#: Stage of the transactions of rustypot that a stage makes.
+#: Stage to which the transactions (of rustypot) belong that another stage makes.
 TRANSACTIONS = {"decode": "read bytes", "encode": "write bytes", "status": "status bytes"}
 #: Methods of rustypot.
 SYNC_READ, SYNC_WRITE = "sync_read_raw_data_with_error", "sync_write_raw_data"
-#: Methods of a transport that make the transactions of a tick, and those of rustypot.
+#: Methods of a transport that make the transactions of a tick, and rustypot's for the same.
 CALLS = {
     "read": "read_raw_data_with_error",
     "sync_read": SYNC_READ,
@@ -252,7 +252,10 @@ class Rig:
         each: Callable[[], None] | None = None,
         recorder: Any = None,
     ) -> None:
-        """Run a new loop: `WARM` ticks, `start()`, `BLOCK` ticks, `end()`; `each()` after each."""
+        """Run a new loop: `WARM` ticks, `start()`, `BLOCK` ticks, `end()`.
+
+        `each()` is called after each tick of the block.
+        """
         loop = pliant.Loop(self.arm, self.controller, rate=RATE, recorder=recorder)
         turns = iter(loop)
         for tick in turns:
@@ -480,7 +483,7 @@ def opened(name: str, *, real_time: bool = False) -> Iterator[Rig]:
 def sdk(name: str) -> tuple[Any, int] | None:
     """Return the vendor's Python SDK for the servos of an arm, and the number of its protocol.
 
-    None: it has no group sync read for these servos.
+    Returns None if the SDK has no group sync read for these servos.
     """
     if name == "so101":
         import scservo_sdk

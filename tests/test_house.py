@@ -220,8 +220,8 @@ def test_a_wheel_for_others_names_no_folder_of_its_builder(wheel):
 
 
 def test_miri_runs_tests_that_exist():
-    names = re.findall(r"instructions::(\w+)", (ROOT / "tools/miri.sh").read_text("utf-8"))
-    source = (ROOT / "rust/core/tests/instructions.rs").read_text("utf-8")
+    names = re.findall(r"determinism::(\w+)", (ROOT / "tools/miri.sh").read_text("utf-8"))
+    source = (ROOT / "rust/core/tests/determinism.rs").read_text("utf-8")
     assert names
     assert not [name for name in names if f"fn {name}()" not in source]
 

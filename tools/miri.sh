@@ -20,5 +20,5 @@ for features in "" "-Ctarget-feature=+avx2,+fma,+bmi1,+bmi2"; do
     RUSTFLAGS="$features" cargo +nightly miri test -p pliant-core --lib -- --test-threads=1 math::simd math::ldlt6 \
         math::rotation
     RUSTFLAGS="$features" cargo +nightly miri test -p pliant-core --test all -- --test-threads=1 --exact \
-        instructions::one_instruction_set_is_deterministic instructions::instruction_sets_differ_by_rounding_only
+        determinism::one_instruction_set_is_deterministic determinism::instruction_sets_differ_by_rounding_only
 done

@@ -105,7 +105,7 @@ inline double sum(Eight v) {
 }
 inline Eight size(Eight v) { return v < 0.0 ? -v : v; }
 
-// One step of law `paper`, (3)–(12).
+// One step of law `paper`, equations (3) to (12) of the paper.
 inline void step(const Constants &k, const double *q, const double *target, double *goal, double *limit) {
     Motion<double> m;
     double e[6];

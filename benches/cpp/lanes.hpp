@@ -1,4 +1,5 @@
-// Numbers of the C++ extension: one double, or eight in a vector that the compiler splits to what the CPU has.
+// Number types of the C++ extension: one double, or a vector of eight, which the compiler splits into the CPU's
+// registers.
 #pragma once
 #include <cmath>
 #include <cstdint>

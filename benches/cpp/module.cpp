@@ -1,5 +1,5 @@
-// Python module `fixed_arm`: the peer to be beaten, made for this arm and this CPU. All results go into the caller's
-// arrays and nothing but their element type is checked: the cheapest boundary there is.
+// Python module `fixed_arm`: implementation for one arm and this CPU only, as a lower bound of the time. Results are
+// written to the caller's arrays. To save time, only their type and layout are checked, not their sizes.
 #define NPY_NO_DEPRECATED_API NPY_1_7_API_VERSION
 #include <Python.h>
 #include <numpy/arrayobject.h>
@@ -29,7 +29,7 @@ template <Py_ssize_t COUNT> bool arrays(PyObject *const *args, Py_ssize_t given,
     return true;
 }
 
-// configure(values): the struct's numbers, in its order.
+// configure(values): sets the constants from an array of all members of `Constants`, in their order.
 PyObject *configure(PyObject *, PyObject *values) {
     const double *from = numbers(values);
     if (!from) return nullptr;

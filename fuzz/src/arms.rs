@@ -108,7 +108,7 @@ fn settings(n: usize, law: Law, variant: usize) -> Settings {
     let base = Settings {
         law,
         task: Task { axes, frame: Frame::Base, length: few.then_some(0.2) },
-        // Above the damping from which on instruction sets agree within the documented tolerance.
+        // Instruction sets agree within the documented tolerance for a damping of at least 0.02.
         tracking: Tracking { damping: Damping::Fixed(0.05), ..Tracking::default() },
         ..Settings::default()
     };

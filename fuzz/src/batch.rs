@@ -164,7 +164,8 @@ fn bits_of(state: &BatchState) -> Vec<u64> {
 }
 
 fn run_without_state(controller: &Controller, rows: &Rows, n: usize, count: usize, invalid: OnInvalid) {
-    // Without a state, goals and tool have no speed limit: results equal a single step only under such settings.
+    // Without a state, goals and tool have no speed limit. Results equal those of a single step only if the settings
+    // have no such limits either.
     let mut unlimited = controller.settings().clone();
     unlimited.tracking.goal_slew = f64::INFINITY;
     unlimited.max_tool_speed = [f64::INFINITY; 2];

@@ -28,7 +28,7 @@ fn signed(bytes: usize) -> isize {
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         add(signed(layout.size()));
-        // SAFETY: the caller keeps the contract of `GlobalAlloc`, which is that of `System`.
+        // SAFETY: the caller meets the requirements of `GlobalAlloc`, which `System` has too.
         unsafe { System.alloc(layout) }
     }
 

@@ -11,7 +11,7 @@ use super::input::Input;
 /// Maximum number of calls in one run.
 const CALLS: usize = 24;
 
-/// Instruction sets are compared only if no number in gradient, speed, posture and twist is larger.
+/// Largest number in velocity, gradient, posture and twist for which instruction sets are compared.
 const LARGEST_USUAL: f64 = 10.0;
 
 /// One call of a controller, with its arguments.
@@ -103,8 +103,8 @@ impl Call {
         matches!(self, Self::Step { .. } | Self::StepJoints { .. })
     }
 
-    /// Returns true if rounding errors stay below the documented tolerance. They do not for short periods, by whose
-    /// square accelerations are divided, and for large numbers of which only a small part remains in the result.
+    /// Returns true if rounding errors stay below the documented tolerance. They exceed it for short periods, because
+    /// accelerations are divided by the square of the period, and for large numbers that nearly cancel in the result.
     fn has_usual_numbers(&self) -> bool {
         let (Self::Step { optional, .. } | Self::StepJoints { optional, .. }) = self else { return true };
         let vectors = [&optional.dq, &optional.gradient, &optional.posture].into_iter().flatten().flatten();

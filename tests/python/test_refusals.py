@@ -160,7 +160,7 @@ def test_errors_name_the_axis(model):
     )
     message = error_text(pliant.Controller, model, settings)
     assert "axes.stiffness: y=100000 N/m is" in message
-    assert " times what the median pose can have" in message
+    assert " times the bound for the median pose" in message
 
 
 def test_the_variant_of_a_servo_that_fits_the_supply_is_named():

@@ -408,7 +408,7 @@ def test_springs_belong_to_law_impedance():
         Settings(axes=springs)
     with pytest.raises(pliant.ConfigError, match=r"null_space\.stiffness: belongs to law"):
         Settings(law="paper", null_space=NullSpace(stiffness=2.0))
-    with pytest.raises(pliant.ConfigError, match=r"has no solve"):
+    with pytest.raises(pliant.ConfigError, match=r"has no inverse kinematics"):
         Settings(law="impedance", paper_options=PaperOptions(follow="hold"))
     with pytest.raises(pliant.OutOfRangeError, match=r"stiffness = -1 is outside"):
         Axis(stiffness=-1.0)

@@ -17,12 +17,12 @@ mod cases;
 mod clearance;
 mod common;
 mod contact;
+mod determinism;
 mod golden;
 mod guards;
 mod hostile;
 mod hostile_step;
 mod imports;
-mod instructions;
 mod kinematics;
 #[path = "common/many.rs"]
 mod many;

@@ -164,7 +164,7 @@ fn default_controller(random: &mut Random, count: usize) -> (Controller, Arms) {
     (Controller::new(model, Settings::default(), Some(seeded::servos(0))).unwrap(), arms)
 }
 
-/// A payload change is gradual in the controller itself; arms of a batch have the new payload at once.
+/// A payload change is gradual in the controller itself; arms of a batch have the new payload immediately.
 #[test]
 fn a_batch_has_the_new_payload_at_once() {
     let mut random = Random::new(9);

@@ -109,7 +109,7 @@ fn the_reference_moves_within_its_bounds() {
     }
 }
 
-/// An arm that cannot follow keeps its reference within reach, unless its target is near.
+/// The reference of a blocked arm stops near the arm if the target is far, and reaches a target that is near.
 #[test]
 fn the_reference_waits_for_a_blocked_arm_whose_target_is_far() {
     let model = arm(0);

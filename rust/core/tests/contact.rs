@@ -197,7 +197,7 @@ fn a_tare_removes_constant_errors() {
     let ctl = controller();
     let options = ContactOptions { kp_error: Some(0.2), ..exact_options() };
     let mut contact = ContactEstimator::new(&ctl, options).unwrap();
-    assert!(contact.tare().unwrap_err().to_string().contains("nothing has been felt yet"));
+    assert!(contact.tare().unwrap_err().to_string().contains("there is no estimate yet"));
     let wrong = |truth: &[f64; 6]| -> Vec<f64> {
         holding_torque(ctl.model(), &GRASP, truth).iter().map(|torque| torque / 1.15).collect()
     };
@@ -209,7 +209,7 @@ fn a_tare_removes_constant_errors() {
     let (estimate, bound) = settled_estimate(&mut contact, &ctl, &GRASP, &goal(&GRASP, &wrong(&truth)), &WIDE);
     assert_within(&estimate, &truth, &bound);
     assert!((estimate[2] - 6.0 / 1.15).abs() < 0.05, "{estimate:?}");
-    assert!(bound[2] < loose[2] + 2.0 * 2.3, "friction counts twice, k_p no more: {bound:?} {loose:?}");
+    assert!(bound[2] < loose[2] + 2.0 * 2.3, "friction counts twice, k_p no longer: {bound:?} {loose:?}");
     contact.clear_tare();
     let (again, _) = settled_estimate(&mut contact, &ctl, &GRASP, &goal(&GRASP, &wrong(&[0.0; 6])), &WIDE);
     assert!((again[2] - off[2]).abs() < 1e-6);

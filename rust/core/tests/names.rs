@@ -1,6 +1,7 @@
 //! Checks the names of types, functions, modules and constants for words that are not terms of robotics or of Rust.
 //!
-//! Reads all Rust sources of the workspace. Test functions are exempt: their names are sentences.
+//! Reads the sources of the core, with its tests and examples, and of the binding. Test functions are exempt: their
+//! names are sentences.
 
 use std::fs;
 use std::path::{Path, PathBuf};

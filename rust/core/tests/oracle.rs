@@ -198,7 +198,7 @@ fn step_agrees_with_oracle(law: Law) {
         }
     }
     assert!(wrong.is_empty(), "{} sequences differ:\n{}", wrong.len(), wrong.join("\n"));
-    // The random sequences must include each difficult case often enough. Law `impedance` has fewer of some.
+    // The random sequences must include each difficult case often enough. Under law `impedance`, some are rarer.
     let slowed = if law == Law::Impedance { 30 } else { 80 };
     assert!(
         observed.locked > 300

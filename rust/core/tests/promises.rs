@@ -73,7 +73,7 @@ fn stiffness_is_rejected_if_half_of_the_poses_would_oscillate() {
     let message = refusal(delayed(2000.0), servos.clone());
     assert!(
         message.starts_with("axes.stiffness: x=2000 N/m, z=2000 N/m is ")
-            && message.contains(" times what the median pose can have")
+            && message.contains(" times the bound for the median pose")
             && message.contains(": use x=")
             && message.contains("accept_high_stiffness=True"),
         "{message}"
@@ -135,7 +135,7 @@ fn springs_are_rejected_under_other_laws() {
         paper_options: PaperOptions { follow: Some(pliant_core::params::Follow::Hold), ..PaperOptions::default() },
         ..Settings::default()
     };
-    assert!(message(hold).starts_with("paper_options.follow: law=\"impedance\" has no solve"));
+    assert!(message(hold).starts_with("paper_options.follow: law=\"impedance\" has no inverse kinematics"));
     let text = Controller::new(arm(0).0, Settings { law: Law::Impedance, ..Settings::default() }, None).unwrap_err();
     assert!(text.to_string().contains("law=\"impedance\" needs the stiffness k_p"), "{text}");
 }
@@ -234,7 +234,7 @@ fn the_gain_is_bounded_by_the_delay() {
     };
     with(pair(3.9), 0.01, 100.0).unwrap();
     assert!(with(pair(4.1), 0.01, 100.0).is_err());
-    // Servos with high damping.
+    // Servos with high damping allow a higher gain.
     let (model, servos) = arm(2);
     let stiff = Settings {
         task: Task::parse("xyz").unwrap(),

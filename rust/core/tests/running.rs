@@ -79,7 +79,7 @@ fn goals_are_rate_limited_from_reset_and_the_first_limit_is_not() {
     for i in 0..7 {
         assert!(limit[i] >= 1.1 * gravity[i].abs(), "{limit:?}");
     }
-    // The torque limits of a soft axis fall at once, and rise from zero to the ceiling in 0.2 s.
+    // The torque limits of a soft axis fall immediately, and rise from zero to the ceiling in 0.2 s.
     let far = {
         let mut pose = target;
         pose.position[2] += 0.1;
@@ -210,7 +210,7 @@ fn changes_of_payload_gravity_and_delay_take_effect_and_persist() {
 fn a_payload_that_would_throw_a_running_arm_is_rejected() {
     let (_, mut controller, target) = make(Settings::default());
     let payload = |mass| Payload { mass, com: [0.0; 3] };
-    // The heaviest that a controller accepts before its first step, because the servos hold it in some pose.
+    // The heaviest payload that a controller accepts before its first step: the servos hold it in some pose.
     let mut loads = (1..30).map(|mass| payload(f64::from(mass)));
     let heaviest = &loads.rfind(|load| make(Settings::default()).1.set_payload(Some(load)).is_ok()).unwrap();
     controller.step(&Q, &target, &StepInput::default()).unwrap();
@@ -219,7 +219,7 @@ fn a_payload_that_would_throw_a_running_arm_is_rejected() {
     assert!(error.contains("2 times the torque of its servo") && error.contains("mass [kg]"), "{error}");
     assert_eq!(controller.snapshot(), before);
     controller.set_payload(Some(&payload(0.5))).unwrap();
-    // Less than the present load is accepted, and so is any load where gravity is not compensated.
+    // A smaller load than the present one is accepted, and so is any load if gravity is not compensated.
     let mut loaded = make(Settings::default()).1;
     loaded.set_payload(Some(heaviest)).unwrap();
     loaded.step(&Q, &target, &StepInput::default()).unwrap();
@@ -380,7 +380,7 @@ fn the_integrator_stores_no_lead_on_soft_axes() {
     for _ in 0..60 {
         goal = controller.step(&Q, &target, &StepInput::default()).unwrap().goal().to_vec();
     }
-    // The wrench at the tool of the lead beyond gravity: W of the law plus that of the integrator's stored lead.
+    // Wrench that the lead without its gravity part exerts: W of the law plus the wrench of the stored lead.
     let (rows, record) = (controller.task_jacobian(), controller.diagnostics());
     let lead = nalgebra::DVector::from_fn(7, |i, _| goal[i] - Q[i] - record.gravity[i] / BELIEVED[i]);
     let compliance =
@@ -448,24 +448,25 @@ fn the_stored_lead_is_bounded_by_gravity_and_by_hold() {
         for _ in 0..1000 {
             controller.step(&[0.0], &target, &StepInput::default()).unwrap();
         }
-        // The lead beyond gravity and beyond that of the law, whose wrench W exerts JᵀW. A turn about y lowers the tool.
+        // The stored lead exerts the torque of the whole lead minus gravity and minus JᵀW of the law's wrench W. JᵀW is
+        // −0.5 W, because a turn about y lowers the tool.
         let goal = controller.last_command().unwrap().goal()[0];
         assert!((100.0 * goal).abs() <= 8.0 + 1e-9, "the whole lead exerts at most the usable torque: {goal}");
         let wrench = controller.diagnostics().wrench[0];
         let stored = 100.0 * goal - gravity + 0.5 * wrench;
-        // The torque limit carries gravity, wrench and stored lead, and has a margin of a tenth of the usable torque.
+        // The torque limit covers gravity, wrench and stored lead, plus a margin of a tenth of the usable torque.
         let demand = (gravity - 0.5 * wrench.clamp(-hold, hold) + stored).abs().max(1.1 * gravity.abs());
         let limit = controller.last_command().unwrap().torque_limit()[0];
         assert!((limit - (demand + 0.8).min(8.0)).abs() < 1e-9, "{limit} {demand}");
         assert_eq!(controller.diagnostics().saturated[0], demand + 0.8 > 8.0);
         stored
     };
-    // The margin for gravity is a tenth.
+    // The stored lead leaves 1.1 times the gravity torque.
     let usable = 8.0 - 1.1 * gravity.abs();
     for side in [-1.0, 1.0] {
         let (strong, weak) = (-side * stored(100.0, 0.05 * side), -side * stored(2.0, 0.05 * side));
         assert!((strong - usable).abs() < 1e-9, "{side}: {strong} {usable}");
-        // 2 N at 0.5 m; the damping λ of the inverse kinematics leaves somewhat more.
+        // `hold` allows 2 N at 0.5 m, that is 1 N·m; the damping λ of the inverse kinematics leaves somewhat more.
         assert!(weak > 0.9 && weak < 1.4, "{side}: {weak}");
     }
 }

@@ -14,7 +14,7 @@ fn controller(model: &Arc<Model>) -> Controller {
     Controller::new(Arc::clone(model), Settings::default(), Some(Servos::new(vec![150.0], vec![10.7]))).unwrap()
 }
 
-/// Returns a pose at a distance [m] from the first joint, in the direction `way`.
+/// Returns a pose at a distance [m] from the first joint, in a direction.
 fn at(model: &Model, distance: f64, direction: [f64; 3]) -> Pose {
     let size = direction.iter().map(|x| x * x).sum::<f64>().sqrt();
     let centre = model.reach_origin();

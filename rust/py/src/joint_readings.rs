@@ -28,7 +28,7 @@ pub(crate) enum Values {
     Arrays(Arrays),
 }
 
-/// Arrays (N,) as a drive has made them.
+/// Arrays (N,) that a drive has created.
 #[derive(Debug)]
 pub(crate) struct Arrays {
     pub(crate) position: Py<PyAny>,

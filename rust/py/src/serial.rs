@@ -71,7 +71,8 @@ pub(crate) struct SerialPort {
 #[derive(Debug, Clone, Copy)]
 struct Open {
     descriptor: i32,
-    /// True if all servos have answered the last request: the port has sent all bytes, and takes a packet at once.
+    /// True if all servos have answered the last request: the port has then sent all bytes, and accepts a packet
+    /// immediately.
     is_idle: bool,
 }
 
@@ -210,10 +211,10 @@ fn send_request(
     Ok(Replies { bytes, packet_len, is_complete })
 }
 
-/// Writes the request and reads the replies into `reply`, whose length is that of the expected packets. If replies are
-/// expected, bytes that were received before are discarded. Returns the number of bytes read, and true if they are not a
-/// valid packet of the expected size from each of the servos `ids`; reading ends when this shows. An idle port is not
-/// waited for before a packet without a reply.
+/// Writes the request and reads the replies into `reply`, whose length is that of the expected packets: one of each
+/// servo in `ids`, in this order. If replies are expected, discards bytes that were received before. Reading ends early
+/// at a packet that is invalid, too short or from another servo. Returns the number of bytes read, and true if reading
+/// ended for this reason. Does not wait for an idle port before a packet without a reply.
 fn write_and_read(
     port: BorrowedFd<'_>,
     request: &[u8],

@@ -113,7 +113,7 @@ impl AxisReport {
             "the stop takes what exceeds the cap".into()
         } else {
             let (friction, unit) = (number(stop.friction), self.unit());
-            format!("the stop takes its part and the other joints add {friction} {unit} of friction")
+            format!("the stop takes part of the force and the other joints add {friction} {unit} of friction")
         };
         let (joint, distance) = (&report.joints[stop.joint], self.formatted_displacement(stop.distance));
         Some(format!("{}{}: {joint} {from} {distance}, {then}.", SIDES[side], self.name))
@@ -149,7 +149,7 @@ impl AxisReport {
         };
         let reaction = match self.on_deviation_limit {
             OnDeviationLimit::Wait => "the whole target waits",
-            OnDeviationLimit::Yield => "its target comes along",
+            OnDeviationLimit::Yield => "its target follows the tool",
         };
         let far = self.formatted_displacement(minus.min(plus));
         Some(format!("{side}{}: pushed farther than {far} off its target, {reaction}.", self.name))
@@ -170,7 +170,11 @@ impl PoseReport {
             }
         }
         self.joint_sentence(&self.saturated, "at the servo's ceiling", &mut out);
-        self.joint_sentence(&self.locked, "at a position limit, so that the others do their part", &mut out);
+        self.joint_sentence(
+            &self.locked,
+            "at a position limit, so that the other joints take over their motion",
+            &mut out,
+        );
         if self.sigma_min < NEAR_SINGULAR * self.sigma_0 {
             out.push(format!(
                 "This is near a singular pose: σ_min is {}, condition {:.0}.",
@@ -181,7 +185,7 @@ impl PoseReport {
         for (factor, what) in [(self.gain_factor, "stiffness"), (self.damping_factor, "damping")] {
             if factor < 1.0 - 1e-9 {
                 out.push(format!(
-                    "Delay and rate allow {} of the {what} that was asked for, here and now.",
+                    "In this state, delay and rate allow only {} of the requested {what}.",
                     number(factor)
                 ));
             }
@@ -219,7 +223,7 @@ impl PoseReport {
         if !blocked_sides.is_empty() {
             let _ = write!(
                 sentence,
-                "; it cannot move it so far along {}: the arm is stretched out or at a stop",
+                "; a hand cannot move the tool that far along {}: the arm is stretched out or at a stop",
                 blocked_sides.join(", ")
             );
         }

@@ -42,7 +42,8 @@ pub struct PoseReport {
     pub sigma_0: f64,
     /// True for joints whose torque limit is at the servo's usable torque.
     pub saturated: Vec<bool>,
-    /// True for joints at a position limit that the control step leaves out of the inverse kinematics.
+    /// True for joints that the control step leaves out of the inverse kinematics because they are at a position
+    /// limit.
     pub locked: Vec<bool>,
     /// True for prismatic joints, whose positions are in metres.
     pub prismatic: Vec<bool>,

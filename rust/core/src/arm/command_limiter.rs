@@ -25,7 +25,7 @@ pub struct LimiterInput<'a> {
     pub off_chain: &'a [[f64; 2]],
     /// Progress of the ramp from holding torque to usable torque, 0 to 1.
     pub ramp: f64,
-    /// Lower bound of the ramp for each joint of the chain [N·m].
+    /// Lower bound on the torque `holding`, at which the ramp starts, for each joint of the chain [N·m].
     pub ramp_start: &'a [f64],
     /// True if goals may lie beyond the position limits by the lead of the usable torque, to exert a force; false: by
     /// the lead that the gravity torque needs.
@@ -34,7 +34,8 @@ pub struct LimiterInput<'a> {
 
 /// Limits the goals and torque limits of all N joints of a drive; the chain has n of them.
 ///
-/// With gravity torque g, usable torque `τ_max`, stiffness k_p and the margin m of [`super::torque_margin`], per joint:
+/// With gravity torque g, usable torque `τ_max`, stiffness k_p and the margin m of [`super::torque_margin`], for each
+/// joint of the chain:
 ///
 /// ```text
 /// goal    = clip(goal, lower − ℓ, upper + ℓ),  ℓ = τ_max/k_p, or the lead that g needs on that side
@@ -42,7 +43,8 @@ pub struct LimiterInput<'a> {
 /// limit   = min(limit, holding + ramp (τ_max − holding), max(thermal ceiling, 1.1 |g|))
 /// ```
 ///
-/// The limits of the chain are then reduced to the current of the supply, but not below 1.1 |g|.
+/// The limits of the chain are then reduced to the current of the supply, but not below 1.1 |g|. A joint off the chain
+/// keeps its goal, with a limit of at most its thermal ceiling.
 #[derive(Debug, Clone)]
 pub struct CommandLimiter {
     /// Indices of the n joints of the chain, and of the N − n others, in the order of the drive.

@@ -1,4 +1,4 @@
-//! Following of joint targets, of a leader arm or a policy, with the force of the tool bounded along x, y and z.
+//! Follows joint targets from a leader arm or a policy, with the force of the tool bounded along x, y and z.
 //!
 //! The goals follow the targets in joint space, so every joint follows its own target, also near a singular pose. The
 //! torque limits allow for the weight and the largest forces F_a along the base axes. Per joint i, with the reference
@@ -6,7 +6,7 @@
 //!
 //! ```text
 //! r′   = r + s (q_target − r)                          with s ≤ 1 so that tool and joints keep their speed limits
-//! v    = low-pass((r′ − r) / dt); of a joint that the clip holds back, at most its measured speed
+//! v    = low-pass((r′ − r) / dt); for a joint that the clip holds back, at most its measured speed
 //! f_i  = min(maxₐ F_a max(|J_ai|, l |J_ωai|) + ρ_i, τ_max,i)
 //! r    = clip(r′, q ± f / k_p)
 //! goal = r + (g + b_d d v + b_f ρ tanh(v / v₀)) / k_p
@@ -14,9 +14,9 @@
 //! ```
 //!
 //! The clip keeps the reference no farther from the joint than the torque f requires, so an arm that was held back
-//! starts to return at once. The clip in the direction of motion narrows near the speed limits, because a soft servo
-//! stores energy in its lead. For a joint that moves the tool point little, such as the roll of a wrist, the force acts
-//! at the lever l.
+//! starts to return immediately. The clip in the direction of motion narrows near the speed limits, because a soft
+//! servo stores energy in its lead. For a joint that moves the tool point little, such as the roll of a wrist, the
+//! force acts at the lever l.
 
 use std::sync::Arc;
 

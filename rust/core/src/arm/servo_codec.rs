@@ -69,7 +69,7 @@ pub struct ServoUnits {
     pub velocity: f64,
     /// Joint torque of one unit of the register that measures it [N·m], and torque lost in the gears [N·m].
     pub measured: [f64; 2],
-    /// 1 if the register of the current measures the torque, 0 if that of the load does.
+    /// 1 if the torque is computed from the register of the current, 0 if from the register of the load.
     pub uses_current: f64,
     /// One unit of the register of the current [A]; NaN without such a register.
     pub current: f64,
@@ -157,7 +157,8 @@ impl Servo {
         self.units.sign * (position - self.units.zero) * self.units.count
     }
 
-    /// Returns whole turns and unwrapped position of a position register, nearest to the last position.
+    /// Returns whole turns and unwrapped position for the value of a position register: nearest to the last position
+    /// or, for the first reading of a multi-turn servo, to the middle of its range.
     fn unwrap(&self, raw: f64) -> (f64, f64) {
         let units = &self.units;
         if units.turn <= 0.0 {
@@ -213,7 +214,7 @@ impl Servo {
             counts.min(here.map_or(high, |here| high.max(here))).max(here.map_or(low, |here| low.min(here)))
                 - turns * units.turn
         } else if turns > 0.0 {
-            // Past the seam of a single-turn encoder: the end of the encoder at which the servo stands.
+            // Past the seam of a single-turn encoder, the goal is the end of the encoder at which the servo stands.
             0.0
         } else if turns < 0.0 {
             units.max_position
@@ -267,7 +268,8 @@ impl ServoCodec {
         self.servos.get_mut(servo).ok_or_else(|| unknown("servo", servo))
     }
 
-    /// Sets joint and units of a servo; the first servo of a joint comes first.
+    /// Sets joint and units of a servo. The servos of one joint must have consecutive indices; the lowest index is its
+    /// first servo.
     ///
     /// # Errors
     /// [`Error::OutOfRange`] if there is no such servo or joint.

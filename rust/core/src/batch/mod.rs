@@ -1,4 +1,4 @@
-//! Control steps of many arms at once, in chunks on all cores; one row of input, output and state per arm.
+//! Control steps of many arms in one call, in chunks on all cores; one row of input, output and state per arm.
 
 pub(crate) mod state;
 
@@ -123,7 +123,7 @@ impl<'a> Batch<'a> {
         same("torque_limit", out.torque_limit.len(), n)?;
         same("velocity", out.velocity.len(), n)?;
         if matches!(input.targets, Targets::Positions(_)) && self.settings.task.axes[3..].contains(&true) {
-            let message = "positions alone say nothing of the rotations that this task has: give poses";
+            let message = "this task has rotations, which positions do not determine: give poses";
             return Err(Error::config("targets", message));
         }
         Ok(count)
@@ -163,8 +163,8 @@ impl<'a> Batch<'a> {
             && !(has_more && rows.into_iter().any(|row| self.check_optional(row).is_err()))
     }
 
-    /// Returns true if positions and target of arm `row` are valid; for arms of at most [`LANES`] joints. Compiled for the
-    /// plain instruction set only, because other sets gain little.
+    /// Returns true if positions and target of arm `row` are valid; for arms of at most [`LANES`] joints. Compiled for
+    /// the baseline instruction set only, because other sets gain little.
     #[inline(always)]
     fn has_valid_pose(&self, row: usize) -> bool {
         let n = self.model.n();

@@ -19,8 +19,8 @@ const STOP_WIDTH: f64 = 0.02;
 /// farther out.
 ///
 /// The goal may exceed the limit, because a joint at its stop could not exert a torque otherwise, but it must not push
-/// the joint farther out. `slope` is the largest reduction per rad beyond the limit; with the delay, a steeper one
-/// oscillates.
+/// the joint farther out. `slope` is the largest reduction per rad beyond the limit; with a steeper one,
+/// the joint would oscillate because of the delay.
 #[inline(always)]
 pub(crate) fn fade_past_limit<J: JointVector>(lead: J, q: J, lower: J, upper: J, slope: f64) -> J {
     let zero = J::splat(0.0);
@@ -226,7 +226,7 @@ mod tests {
         assert!(near(goal, [0.6, 0.175]), "a twentieth of the way, for both: {goal:?}");
         let [goal, _] = slewed([0.5, 0.2], none, [2.5, -0.3], none, f64::INFINITY);
         assert!(near(goal, [2.5, -0.3]));
-        // Joint 0 moves its gravity part by the whole step. Nothing else of it has to move, so joint 1 arrives.
+        // Joint 0 moves its gravity part by the whole step. The rest of its goal does not change, so joint 1 arrives.
         let [goal, gravity_offset] = slewed(none, none, [0.3, 0.02], [0.3, 0.0], 0.1);
         assert!(near(gravity_offset, [0.1, 0.0]) && near(goal, [0.1, 0.02]), "{goal:?} {gravity_offset:?}");
         let [goal, gravity_offset] = slewed([0.1, 0.0], [0.1, 0.0], [0.35, 0.02], [0.15, 0.0], 0.1);

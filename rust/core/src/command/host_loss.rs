@@ -24,8 +24,8 @@ const MAX_STEPS: usize = 120;
 /// Largest motion of a joint in one step [rad; m if prismatic].
 const MAX_JOINT_STEP: f64 = 0.04;
 
-/// Lever of a joint below which it counts as at its dead centre and cannot follow the hand. For translations in m, for
-/// an arm with a reach of 0.71 m and proportional to the reach; for rotations in rad per rad.
+/// Lever of a joint below which it counts as at its dead centre and cannot follow the hand. For translations it is in
+/// m/rad, divided by the length scale of [`Params::row_scale`] (1 for a reach of 0.71 m); for rotations it has no unit.
 const DEAD_CENTRE: f64 = 0.015;
 
 /// Maximum number of steps in the search for the equilibrium.
@@ -359,8 +359,8 @@ mod tests {
         <limit lower="-2" upper="2" effort="8" velocity="3"/></joint><link name="arm"/>
         <joint name="out" type="fixed"><parent link="arm"/><child link="tool"/><origin xyz="0.5 0 0"/></joint></robot>"#;
 
-    /// Returns where the lever comes to rest, and the torque of its servo minus that of its weight there. Its joint has
-    /// the stiffness 100 N·m/rad and a friction of 0.2 N·m.
+    /// Returns the angle [rad] at which the lever comes to rest, and the servo torque minus the gravity torque there
+    /// [N·m]. The joint has a stiffness of 100 N·m/rad and a friction of 0.2 N·m.
     fn rest_of_lever(goal: f64, limit: f64) -> (f64, f64) {
         const BASE_FROM_TASK: Mat3 = Pose::IDENTITY.rotation;
         let model = Model::from_urdf_str(LEVER, &ModelOptions::default()).unwrap();

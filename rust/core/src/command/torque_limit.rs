@@ -86,14 +86,14 @@ impl SumRuleInput {
 }
 
 /// Clamps the `wanted` limits between `floor` and `ceiling`. They may exceed the limits `before` of the last step by at
-/// most `rise` (`None`: by any amount) and may fall at once.
+/// most `rise` (`None`: by any amount) and may fall immediately.
 #[inline(always)]
 pub(crate) fn bound_and_slew<J: JointVector>(wanted: J, before: Option<J>, floor: J, ceiling: J, rise: J) -> J {
     let mut limit = J::min(wanted, ceiling);
     if let Some(before) = before {
         limit = J::min(limit, before + rise);
     }
-    // Apply the floor after the bound on the rise, so that a raised floor takes effect at once.
+    // Apply the floor after the bound on the rise, so that a raised floor takes effect immediately.
     J::min(J::max(limit, floor), ceiling)
 }
 

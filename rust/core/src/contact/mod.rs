@@ -310,10 +310,10 @@ impl ContactEstimator {
     /// friction that the stored residual may contain is added to the uncertainty.
     ///
     /// # Errors
-    /// [`Error::Config`] before the first reading.
+    /// [`Error::Config`] before the first estimate, see [`update`](Self::update).
     pub fn tare(&mut self) -> Result<()> {
         if !self.state.filters_ready {
-            return Err(Error::config("tare", "nothing has been felt yet: update with a reading first"));
+            return Err(Error::config("tare", "there is no estimate yet: call update first"));
         }
         (self.tare, self.tared) = (self.state.tare_candidate, true);
         Ok(())

@@ -70,8 +70,9 @@ impl ContactEstimator {
     /// after another; those of `sent` are the commands before each reading.
     ///
     /// # Errors
-    /// Those of [`update`](Self::update), or [`Error::Shape`] if the arrays do not hold the same number of whole
-    /// readings. The estimate is then unchanged, and the stored commands are cleared.
+    /// [`Error::Shape`] if the arrays do not hold the same number of whole readings; then nothing changes. After an
+    /// error of [`update`](Self::update) for one of the readings, the estimate is unchanged, and the stored commands
+    /// are cleared.
     pub fn update_series<'a>(
         &mut self,
         controller: &Controller,
@@ -127,7 +128,7 @@ impl ContactEstimator {
             return Err(Error::Shape {
                 what: "controller".into(),
                 got: format!("an arm of {} joints", controller.model().n()),
-                expected: format!("the arm of {} joints that this Contact was made for", self.joints.n),
+                expected: format!("the arm of {} joints of this ContactEstimator", self.joints.n),
             });
         }
         let q = controller.positions("q", q)?;

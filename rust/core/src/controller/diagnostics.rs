@@ -56,7 +56,7 @@ pub struct Diagnostics {
     /// True for joints whose torque limit is at the servo's usable torque. Computed by
     /// [`Controller::diagnostics`](crate::Controller::diagnostics).
     pub saturated: [bool; MAX_JOINTS],
-    /// True for joints at a position limit that the step has left out of the inverse kinematics.
+    /// True for joints that the step left out of the inverse kinematics because they are at a position limit.
     pub locked: [bool; MAX_JOINTS],
     /// True for task axes at their deviation limit.
     pub deviation_limited: [bool; MAX_AXES],

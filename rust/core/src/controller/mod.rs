@@ -214,7 +214,7 @@ impl Controller {
     /// Resets the state to an arm at rest in `q` [rad]: the goals start there, and `q` is the rest posture unless
     /// the settings have one.
     ///
-    /// A payload change takes full effect at once; a captured gravity offset stays.
+    /// A payload change takes full effect immediately; a captured gravity offset stays.
     ///
     /// # Errors
     /// [`Error::Shape`] or [`Error::OutOfRange`] for `q`; the controller is then unchanged.
@@ -258,8 +258,8 @@ impl Controller {
 
     /// Sets the payload: mass [kg] and centre of mass in the tool frame [m]; `None` for no payload.
     ///
-    /// Takes effect at once before the first step, otherwise over half a second, so that a wrong or mistimed payload
-    /// does not make the arm jump.
+    /// Before the first step, it takes effect immediately; later, over half a second, so that a wrong or mistimed
+    /// payload does not make the arm jump.
     ///
     /// # Errors
     /// [`Error::OutOfRange`] for an invalid payload and, if gravity is compensated, for a load that the servos cannot
@@ -315,8 +315,9 @@ impl Controller {
         self.simd_level = simd_level;
     }
 
-    /// Measures the stiffness k_g for the gravity offset on an arm that the goals `goal` [rad] hold still at `q`
-    /// [rad], with [`Tracking::integrate`](crate::params::Tracking::integrate). Returns k_g of each joint [N·m/rad].
+    /// Measures the stiffness k_g for the gravity offset on an arm that the goals `goal` [rad] hold still at `q` [rad].
+    /// Set [`Tracking::integrate`](crate::params::Tracking::integrate) above 0 before, so that the arm has come to rest
+    /// at its target. Returns k_g of each joint [N·m/rad].
     ///
     /// `k_g,i = g_i / (goal_i − q_i)`, clamped to 0.3 to 3 times the configured `k_p`. A joint whose |g_i| is at most
     /// three times its friction, or three times the servo torque of one encoder count, keeps the configured `k_p`. k_g
@@ -556,7 +557,8 @@ impl Controller {
         }
     }
 
-    /// Checks that a new load of a running controller does not need a multiple of the servos' torque at its goals.
+    /// Checks that no joint of a running controller needs more than [`LARGEST_LOAD`] times its usable torque to hold a
+    /// new load at the present goals.
     ///
     /// Such a load is a mistake, e.g. a mass in grams, and would throw the arm upward. A load that is smaller than the
     /// present one is accepted.
@@ -677,8 +679,8 @@ impl Controller {
     /// positions are invalid.
     fn start_row(&mut self, one: &ArmInput<'_>) -> bool {
         let Ok(q) = self.positions("q", one.q) else { return false };
-        // The reference may jump to the target in this call. Only deviation limits hold it back from the target, to
-        // where it started: at the tool.
+        // In this call the reference may jump to the target, so it starts there. With deviation limits it starts at the
+        // tool, where these limits may keep it.
         if self.params.deviation_limits.is_empty() {
             self.state = State::at(&q, one.target, true);
         } else {

@@ -56,7 +56,7 @@ impl State {
     }
 }
 
-/// Number of values at the end of a row that are not one per joint.
+/// Number of values at the end of a row that do not belong to single joints.
 const TAIL: usize = row_len(0) - 1;
 
 /// Calls the macro `$joints` for each field with one number per joint, then `$numbers` for each other field as a slice,

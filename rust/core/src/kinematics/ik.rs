@@ -1,8 +1,8 @@
 //! Inverse kinematics: pose → joint positions; not used by the control step.
 //!
 //! Damped least squares, `dq = Jᵀ (J Jᵀ + μ I)⁻¹ e` with `μ = ½|e|² + ε`: far from the target the damping bounds the
-//! steps at singular poses, near it the method approaches Newton's (Sugihara, T-RO 2011). A joint that would move
-//! beyond its limit is left out, and the others make the remaining motion. A search that stalls restarts from fixed
+//! steps at singular poses, near it the method approaches Newton's (Sugihara, T-RO 2011). If a joint at
+//! its limit would move outward, the step is solved again without this joint. A search that stalls restarts from fixed
 //! seeds.
 
 use std::fmt;
@@ -158,7 +158,7 @@ impl IkOptions {
             return Err(Error::config("max_iterations", "is 0; must be at least 1"));
         }
         if self.axes == [false; 6] {
-            return Err(Error::config("axes", "none is asked for; set at least one"));
+            return Err(Error::config("axes", "none is selected; set at least one"));
         }
         Ok(())
     }

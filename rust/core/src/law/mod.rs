@@ -59,7 +59,7 @@ pub(crate) struct LawInput<'a, J: JointVector> {
 /// Terms that give the stiff axes the velocity and the acceleration of their reference.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Pacing<W> {
-    /// Displacement [m, rad] of the reference that, times the servos' stiffness, is the force for its damping and
+    /// Displacement [m, rad] that, multiplied by the servos' stiffness along the axis, gives the force for damping and
     /// acceleration.
     pub(crate) displacement: W,
     /// Velocity of the reference [m/s, rad/s].
@@ -121,8 +121,8 @@ pub(crate) trait ControlLaw {
     /// equation (11) of the paper.
     fn solve<J: JointVector>(input: &LawInput<'_, J>) -> (LawOutput<J>, Option<J>);
 
-    /// Returns the force [N, N·m] with which an arm at rest opposes a push if its axis had no force cap; ∞ for a law
-    /// that is not defined by forces.
+    /// Returns the force [N, N·m] with which an arm at rest would oppose a push if its axis had no force cap; ∞ for a
+    /// law that is not defined by forces.
     fn force_at(push: &AxisPush<'_>) -> f64;
 
     /// Returns the factor ≤ 1 on the gain of the stiff axes; `last` is the factor of the last step.

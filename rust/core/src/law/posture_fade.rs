@@ -30,8 +30,8 @@ pub(crate) fn posture_gain<J: JointVector>(params: &Params, q: J, rest: J, deman
     if missing > 0.0 { 1.0 - missing.min(1.0) * push_fraction(params, demand) } else { 1.0 }
 }
 
-/// Returns the strength of a push on the yielding axes, 0 to 1: 0 below the deviation at which the compliance of an
-/// axis begins to fall, 1 at twice that deviation.
+/// Returns the strength of a push on the yielding axes, 0 to 1: 0 below a deviation of `soft_until` (at least a tenth
+/// of `firm_from`), 1 at twice that deviation.
 #[inline(always)]
 fn push_fraction<W: F64x8>(params: &Params, demand: &AxisDemand<W>) -> f64 {
     let slope = W::from_array(&params.axis_simd.push_slope);

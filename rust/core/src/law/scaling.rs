@@ -2,8 +2,8 @@
 
 use crate::math::simd::JointVector;
 
-/// Returns one factor in [0, 1] per part so that `|base + Σ f_p part_p| ≤ bound` for every joint; all 0 if `base` alone
-/// exceeds the bound.
+/// Returns one factor in [0, 1] per part so that `|base + Σ f_p part_p| ≤ bound` for every joint. If `base` alone
+/// exceeds the bound so far that this is impossible, the parts that increase the excess get the factor 0.
 ///
 /// The parts are reduced in order: part 2 is scaled only if the bound is exceeded even with part 1 at zero.
 #[inline(always)]

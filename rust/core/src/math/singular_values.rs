@@ -191,8 +191,8 @@ fn ritz_pair(u: &ImagePair, v: &ImagePair) -> ([AxisVec; 2], f64) {
     (min_vectors, dot::<BaselineF64>(&min_vectors[0], &image).max(0.0).sqrt())
 }
 
-/// Returns `u`, a unit vector orthogonal to it (zero with a single axis) as start of the next step, and the value of
-/// `u`.
+/// Returns `u` and a unit vector orthogonal to `u` (zero if there is only one axis), from which the next step starts,
+/// and the singular value estimated from `u`.
 #[cold]
 #[inline(never)]
 fn restart(gram: &Mat6, u: &AxisVec, k: usize) -> ([AxisVec; 2], f64) {

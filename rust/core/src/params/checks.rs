@@ -73,8 +73,8 @@ pub(super) fn check_gravity(model: &Model, settings: &Settings) -> Result<()> {
     Err(Error::config(
         "gravity",
         format!(
-            "no mass is known of what joints {} move, so gravity cannot be compensated there: add <inertial> to the URDF, \
-             or give torque_limits=TorqueLimits(floor=[...]) [N·m] for the limits, or gravity=False",
+            "the mass that joints {} move is unknown, so gravity cannot be compensated there: add <inertial> to the \
+             URDF, or give torque_limits=TorqueLimits(floor=[...]) [N·m] for the limits, or gravity=False",
             names.join(", ")
         ),
     ))

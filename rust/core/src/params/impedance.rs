@@ -15,8 +15,8 @@ const REFERENCE_STIFFNESS: [f64; 2] = [800.0, 20.0];
 /// Mean k_p [N·m/rad] of `arm7`, on which the default stiffness was tuned.
 const REFERENCE_KP: f64 = 780.0 / 7.0;
 
-/// Largest `ρ(D) (T_e + T_f)` [s²] at which dampers do not oscillate, with the effective delay T_e and the time
-/// constant T_f of the velocity filter.
+/// Largest `ρ(D) (T_e + T_f)` [s²] at which the arm does not oscillate under the dampers, with the effective delay T_e
+/// and the time constant T_f of the velocity filter.
 const DAMPING_DELAY_BOUND: f64 = 0.007;
 
 /// Largest effective delay T_e [s] at which well damped servos allow a stiffness ratio ρ of `WELL_DAMPED_RATIO`.
@@ -24,9 +24,9 @@ const WELL_DAMPED_DELAY: f64 = 0.03;
 /// Largest ratio ρ of the axes' stiffness to the servos' own that well damped servos allow.
 const WELL_DAMPED_RATIO: f64 = 3.0;
 
-/// Returns the largest ratios ρ to the servos' stiffness, of stiffness [1] and of damping [s], at a delay [s]; ∞ with
-/// `accept_high_stiffness`. With T_e = delay + half a period: `max(1, 0.03 s / T_e)` for stiffness, at least 3 for well
-/// damped servos up to a T_e of 0.03 s; `0.007 s² / (T_e + T_f)` for damping.
+/// Returns the largest ratios ρ of the axes' stiffness [1] and damping [s] to the servos' stiffness at a delay [s]; ∞
+/// with `accept_high_stiffness`. With T_e = delay + half a period: `max(1, 0.03 s / T_e)` for stiffness, at least 3 for
+/// well damped servos up to a T_e of 0.03 s; `0.007 s² / (T_e + T_f)` for damping.
 pub(super) fn bounds(settings: &Settings, delay: f64, well_damped: bool) -> [f64; 2] {
     if settings.accept_high_stiffness {
         return [f64::INFINITY; 2];
@@ -48,7 +48,8 @@ pub(super) fn default_stiffness(model: &Model, settings: &Settings, servos: &Ser
         .map(rounding::round_to_halves)
 }
 
-/// Returns an error if the user's stiffness or damping would oscillate in more than half of the configurations.
+/// Returns an error if the arm would oscillate with the user's stiffness or damping in more than half of the sampled
+/// configurations, or if the stiffness of the null-space motion exceeds its bound.
 ///
 /// In a configuration that requires lower gains, the step reduces them, including the default stiffness of other axes;
 /// see [`rho`].
@@ -85,8 +86,8 @@ pub(super) fn check(model: &Model, settings: &Settings, params: &Params) -> Resu
             return Err(Error::config(
                 format!("axes.{field}"),
                 format!(
-                    "{user} is {ratio:.2} times what the median pose can have, and {}: use {nearest}, shorten delay and \
-                     period, or accept the risk: Settings(accept_high_stiffness=True)",
+                    "{user} is {ratio:.2} times the bound for the median pose, and {}: use {nearest}, shorten delay \
+                     and period, or accept the risk: Settings(accept_high_stiffness=True)",
                     why(settings)
                 ),
             ));

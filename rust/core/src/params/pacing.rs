@@ -9,11 +9,11 @@ use crate::{AxisVec, MAX_AXES, MAX_JOINTS};
 /// Decay rate [1/s] of the velocity error between tool and reference; less at a long delay.
 const DECAY: f64 = 20.0;
 
-/// Largest decay rate times age of the velocity [s] at which the damper does not oscillate.
+/// Largest product of decay rate [1/s] and age of the velocity [s] at which the damper does not make the arm oscillate.
 const DECAY_DELAY_BOUND: f64 = 0.5;
 
-/// The feed-forward cancels damping of the servos; the damper restores this share of it. It is below 1, because axes
-/// that share joints would restore it twice.
+/// Share of the servo damping cancelled by the feed-forward that the damper restores. It is below 1, because axes that
+/// share joints would restore the damping twice.
 const RESTORED_SHARE: f64 = 0.5;
 
 /// Bound on the acceleration feed-forward, linear and angular [m/s², rad/s²], so that a target that stops abruptly does

@@ -44,7 +44,7 @@ impl Settings {
             return match self.paper_options.follow {
                 Some(Follow::Hold) => Err(Error::config(
                     "paper_options.follow",
-                    "law=\"impedance\" has no solve in which a yielding axis could stay: leave it out, or use law=\"cap\"",
+                    "law=\"impedance\" has no inverse kinematics to apply this to: leave it out, or use law=\"cap\"",
                 )),
                 _ => Ok(()),
             };

@@ -175,7 +175,7 @@ mod tests {
         assert!((limited.progress - 0.25).abs() < 1e-12);
         assert!((limited.error[0] - 0.02).abs() < 1e-15 && (limited.error[1] - 0.1).abs() < 1e-12);
         assert!((limited.error[5] - 0.1).abs() < 1e-12);
-        // A push has moved the tool beyond the limit: the reference may only move toward it.
+        // A push has moved the tool beyond the limit: the reference may only move toward the tool.
         let outside = DeviationLimiter { before: &at(0.05, 0.0, 0.0), ..limiter };
         assert!(outside.limit(&limits, &at(0.06, 0.1, 0.0)).unwrap().progress.abs() < 1e-15);
         assert!((outside.limit(&limits, &at(0.04, 0.1, 0.0)).unwrap().progress - 1.0).abs() < 1e-15);

@@ -228,11 +228,11 @@ impl ReferenceGovernor {
     }
 }
 
-/// If at least this share of the stiff axes' wrench is missing, the reference stops completely.
+/// If at least this share of the stiff axes' wrench or of the goals' motion is missing, the reference stops completely.
 const HOLD_THRESHOLD: f64 = 0.2;
 
-/// Returns the degree, 0 to 1, to which the reference is held back if the arm can exert only `share` of the wrench of
-/// its stiff axes.
+/// Returns the degree, 0 to 1, to which the reference is held back. `share` is the share of the stiff axes' wrench that
+/// the torques allow, or the share of the goals' motion that their speed limit allows, whichever is smaller.
 #[inline(always)]
 pub(crate) fn hold_fraction(share: f64) -> f64 {
     ((1.0 - share) / HOLD_THRESHOLD).min(1.0)
@@ -291,7 +291,7 @@ fn approach<A: RealOps<Real = f64>>(
     if !speed.is_finite() {
         return ([0.0; 3], true);
     }
-    // A speed limit that was lowered during the motion takes effect at once.
+    // A speed limit that was lowered during the motion takes effect immediately.
     let v = clamp_norm::<A>(v, speed);
     let behind = add_scaled::<A>(&d, -dt, &target_velocity_now);
     let distance = norm::<A>(&behind);
@@ -366,7 +366,7 @@ mod tests {
             let target = at(f64::from(tick) * 0.01);
             let x = governor.update::<BaselineF64>(&target, [0.25, 1.0], [1.0, 4.0], 0.01).position[0];
             assert!(x <= target.position[0] + 1e-12, "tick {tick}: {x}");
-            // The reference accelerates within its bound, and brakes as hard as the target, which stops at once.
+            // The reference accelerates within its bound, and brakes as hard as the target, which stops abruptly.
             let change = governor.velocity[0] - before;
             before = governor.velocity[0];
             assert!(change.abs() <= 0.01 + 1e-12 || tick > 100, "tick {tick}: {change} m/s");
@@ -474,7 +474,7 @@ mod tests {
 
     #[test]
     fn every_axis_and_the_rotation_about_it_follow_one_motion() {
-        // A jump, a slow target, a target that stops at once, a faster one, and the way back.
+        // A jump, a slow target, a target that stops abruptly, a faster one, and the way back.
         let at = |tick: u32| match tick {
             0..60 => 0.3,
             60..120 => 0.3 + 0.002 * f64::from(tick - 60),
@@ -506,13 +506,13 @@ mod tests {
     fn a_reference_at_its_target_moves_as_by_the_general_formula() {
         let (speed, acceleration, dt) = ([0.25, 1.0], [1.0, 4.0], 0.01);
         let mut taken = [false; 2];
-        // Speeds of the target along a screw axis: constant, faster, braking at once, jumping, and back.
+        // Speeds of the target along a screw axis: constant, faster, braking abruptly, jumping, and back.
         for (before, now) in [(0.1, 0.1), (0.1, 0.105), (0.1, 0.12), (0.2, 0.0), (0.2, 0.5), (0.1, -0.1)] {
             for axis in AXES {
                 let from = screw(axis, 0.0);
                 let velocity: [f64; 6] = std::array::from_fn(|i| before * axis[i % 3]);
                 let at = ReferenceGovernor { velocity, target_speed: [before; 2], ..ReferenceGovernor::new(from) };
-                // Not equal to the target in every bit, so that the reference takes the general way.
+                // Differs from the target by rounding, so that the reference uses the general path.
                 let mut beside = at;
                 beside.pose.position.iter_mut().for_each(|x| *x += 1e-300);
                 let target = screw(axis, now * dt);
@@ -536,7 +536,7 @@ mod tests {
     fn a_target_at_rest_is_reached_in_the_shortest_time() {
         let (speed, acceleration, dt) = (0.5, 2.0, 0.01);
         for distance in [0.001, 0.01, 0.03, 0.1, 0.2, 0.6] {
-            // With a trapezoid of speed, or a triangle if the distance is too short for the largest speed.
+            // The speed profile is a trapezoid, or a triangle if the distance is too short for the largest speed.
             let shortest = if distance > speed * speed / acceleration {
                 distance / speed + speed / acceleration
             } else {
@@ -583,7 +583,7 @@ mod tests {
         let (moved, lag) = ([1e-4, 2e-4, -1e-4], [0.02, 0.02, 0.01]);
         let gained = (1e-4 * 0.02 + 2e-4 * 0.02 - 1e-4 * 0.01) / 0.0009;
         for share in [0.25, 1.0] {
-            // Scale of the lag, which matters only by its direction.
+            // The length of the lag has no effect, only its direction.
             for scale in [1.0, 7.0] {
                 for acceleration in [0.1, 100.0] {
                     let pose = Pose { position: moved, rotation: rotation_matrix(moved) };
@@ -594,7 +594,7 @@ mod tests {
                     governor.hold_back(&Pose::IDENTITY, &both, share, [[0.5; 2], [acceleration; 2]], dt);
                     let got = [governor.pose.position, turned(&governor.pose)];
                     for (block, deceleration) in [3.0, 12.0].into_iter().enumerate() {
-                        // In units of the lag, whose length is 0.03.
+                        // Motion that is undone, as a multiple of the lag, whose length is 0.03.
                         let taken = f64::min(share * gained, (deceleration + acceleration) * dt * dt / 0.03);
                         for i in 0..3 {
                             let expected = moved[i] - taken * lag[i];

@@ -1,5 +1,5 @@
 //! Random numbers that are identical on every machine, and arms with their servos.
-#![allow(dead_code, reason = "each test file is a crate of its own and uses a part of this")]
+#![allow(dead_code, reason = "each test program that includes this file uses a part of it")]
 
 use std::f64::consts::PI;
 use std::sync::Arc;

@@ -38,7 +38,7 @@ impl Oracle {
     /// Returns the target after the deviation limits, and true for each row at its limit.
     pub(super) fn reference(&self, tool: &Pose, target: &Pose) -> (Pose, Vec<bool>) {
         let axes = self.axes();
-        let before = self.memory.reference;
+        let before = self.state.reference;
         let (was, wanted) = (self.deviation(tool, &before), self.deviation(tool, target));
         let beyond = |r: usize, e: f64| {
             let (low, high) = self.allowed(axes[r]);

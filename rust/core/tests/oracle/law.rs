@@ -289,8 +289,9 @@ impl LawInput<'_> {
         }
     }
 
-    /// Returns the motion `all` with locked joints at their `fixed` lead. The other joints make the missing task
-    /// motion, with the damping of a singular pose, within torque ceilings and joint speeds.
+    /// Returns `all` with the lead of each locked joint set to its entry in `fixed`. The other joints make up for the
+    /// task motion that is lost thereby, as far as torque ceilings and speed limits allow; their pseudo-inverse has the
+    /// damping of a singular pose.
     pub(super) fn redistributed(&self, all: &Motion, locked: &[bool], fixed: &Vector) -> Motion {
         let (n, kp, settings) = (self.n(), self.oracle.kp(), &self.oracle.settings);
         let whole = &all.lead + &all.null;

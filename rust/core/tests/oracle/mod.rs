@@ -12,11 +12,11 @@ use pliant_core::{Model, Pose, Servos, StepInput};
 
 mod deviation_limit;
 mod law;
-mod memory;
 mod parts;
 mod shares;
+mod state;
 
-use memory::Memory;
+use state::State;
 
 pub(crate) type Vector = DVector<f64>;
 pub(crate) type Matrix = DMatrix<f64>;
@@ -31,7 +31,7 @@ pub(crate) struct Oracle {
     pub(crate) damping: [f64; 3],
     pub(crate) delay: f64,
     pub(crate) kg: Vector,
-    pub(crate) memory: Memory,
+    pub(crate) state: State,
 }
 
 /// Intermediate values of one tick; vectors have one entry per task axis or per joint.
@@ -92,7 +92,7 @@ impl Oracle {
             damping,
             delay: settings.delay,
             kg,
-            memory: Memory::new(n),
+            state: State::new(n),
         }
     }
 
@@ -109,10 +109,10 @@ impl Oracle {
         // 1
         let measured = Vector::from_column_slice(q);
         self.filter(&measured, input, dt);
-        let velocity = self.memory.velocity.clone();
+        let velocity = self.state.velocity.clone();
         let mut q = measured.clone();
         if cap {
-            q += &velocity * (self.memory.gamma * settings.compensation.delay * self.delay);
+            q += &velocity * (self.state.gamma * settings.compensation.delay * self.delay);
         }
         // 2
         let tool = self.model.forward_kinematics(q.as_slice()).unwrap();
@@ -183,8 +183,8 @@ impl Oracle {
         };
         let gradient = self.gradient(&q, input, &axis_values);
 
-        // 8, 9, 11: first with all joints. Then each joint at a position limit is locked, and the others make its
-        // motion.
+        // 8, 9, 11: first with all joints. Then each joint at a position limit is locked, and the other joints make up
+        // for the task motion that is lost thereby.
         let law_input = law::LawInput {
             oracle: self,
             rows: &rows,
@@ -284,7 +284,7 @@ impl Oracle {
         let floor = settings.torque_limits.floor.as_ref().map_or(friction.clone(), |f| Vector::from_column_slice(f));
         let ceiling = self.ceiling();
         let mut limit = Vector::from_fn(n, |i, _| wanted[i].min(ceiling[i]));
-        if let Some(before) = &self.memory.limit {
+        if let Some(before) = &self.state.limit {
             for i in 0..n {
                 let rise = if settings.torque_limits.stiffening_time > 0.0 {
                     ceiling[i] / settings.torque_limits.stiffening_time * ahead
@@ -313,19 +313,19 @@ impl Oracle {
         }
         // The gravity offset moves first and independently, then all other parts by one common share.
         let slew = settings.tracking.goal_slew * ahead;
-        let (snapshot, all) = (in_goal.component_div(&self.kg), goal - &self.memory.goal);
-        let change = &snapshot - &self.memory.weight;
+        let (snapshot, all) = (in_goal.component_div(&self.kg), goal - &self.state.goal);
+        let change = &snapshot - &self.state.weight;
         let (lift, way) = (change.map(|w| clip(w, slew)), all - change);
         let room = |i: usize| slew - lift[i].abs();
         let share = (0..n).filter(|&i| way[i].abs() > room(i)).map(|i| room(i) / way[i].abs()).fold(1.0, f64::min);
-        let goal = &self.memory.goal + &lift + way * share;
-        self.memory.weight += lift;
+        let goal = &self.state.goal + &lift + way * share;
+        self.state.weight += lift;
         let singular = self.scaled(&rows).singular_values();
 
-        self.memory.gamma = gamma;
-        self.memory.reference = reference;
-        self.memory.goal.clone_from(&goal);
-        self.memory.limit = Some(limit.clone());
+        self.state.gamma = gamma;
+        self.state.reference = reference;
+        self.state.goal.clone_from(&goal);
+        self.state.limit = Some(limit.clone());
         Tick {
             responsibility,
             dx: step / h,

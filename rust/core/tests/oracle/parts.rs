@@ -194,7 +194,7 @@ impl Oracle {
         let rest = match (input.posture, &self.settings.null_space.posture) {
             (Some(p), _) => Vector::from_column_slice(p),
             (None, Some(p)) => Vector::from_column_slice(p),
-            (None, None) => self.memory.rest.clone(),
+            (None, None) => self.state.rest.clone(),
         };
         // Closer to a position limit than w (0.05 rad or 5 % of the range), the posture task fades, to 0 at w / 2. If
         // the rest posture is closer to the limit than w, the fade starts there, with that distance (at least 0.4 w) as
@@ -210,8 +210,8 @@ impl Oracle {
                 }
             }
         }
-        // The fade is scaled by the push on a yielding axis: 0 up to a deviation of d⁻ (at least 0.1 d⁺), 1 from twice
-        // that on.
+        // The fade is multiplied by the strength of the push on a yielding axis: 0 up to a deviation of d⁻ (at least
+        // 0.1 d⁺), 1 above twice this deviation.
         let push_fractions = axis_values.iter().zip(self.axes()).map(|(row, axis)| {
             let (axis_settings, [low, high]) =
                 (&self.settings.axes[axis], if axis < 3 { [0.01, 0.1] } else { [0.04, 0.4] });

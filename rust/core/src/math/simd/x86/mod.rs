@@ -154,8 +154,8 @@ macro_rules! f64x8 {
 
             #[inline(always)]
             fn load_partial(values: &[f64]) -> Self {
-                // SAFETY: the processor has the instructions, see `SimdLevel`; each register reads only the numbers
-                // that the previous registers left. Where they left none, the pointer is not read.
+                // SAFETY: the processor has the instructions, see `SimdLevel`. Register i loads at most the
+                // `len − i · width` values that exist from offset i · width on; with a count of 0 it reads no memory.
                 Self(unsafe {
                     [$(first_of(values.as_ptr().wrapping_add($i * $width), values.len().saturating_sub($i * $width))),*]
                 })
