@@ -261,7 +261,7 @@ class Bench:
     def keep(
         self, pose: int, q: Array, axis: str, sign: float, cap: float, *, guided: bool
     ) -> Promise:
-        """Push the tool along one soft axis by the hand; return expected and measured force.
+        """Push the tool along one soft axis with the hand; return expected and measured force.
 
         Args:
             pose: Index of the pose.

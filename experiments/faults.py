@@ -106,7 +106,7 @@ def _once(do: Callable[[Scene], object]) -> Callable[[Scene], Array | None]:
 def _for_duration(
     seconds: float, begin: Callable[[ArmEmulator], object], end: Callable[[ArmEmulator], object]
 ) -> Callable[[Scene], Array | None]:
-    """Return an action that calls `begin` at once and `end` after `seconds` of emulated time."""
+    """Return an action that calls `begin` immediately, and `end` after emulated `seconds`."""
 
     def act(scene: Scene) -> Array | None:
         if scene.first:
@@ -118,7 +118,7 @@ def _for_duration(
                     watchers.remove(watch)
                     end(scene.bus)
 
-            # End the fault from the physics: the control loop may be blocked by the fault.
+            # End the fault in a callback of the physics: the fault may block the control loop.
             watchers.append(watch)
         return scene.target
 

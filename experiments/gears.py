@@ -1,8 +1,8 @@
 """Remedies for gears that stick: ``python -m experiments.gears``.
 
-The gears of `arm7` and `so101` have the friction identified on real ones, which sticks and grows
-with the load. The controller knows it, but the true friction is 0.7, 1 and 1.3 times the assumed
-one. A hand drags the tool along a soft axis, and the arm opens a door. The program prints the
+The gears of `arm7` and `so101` have the friction identified on real gears, which stick and rub more
+under load. The controller knows this friction, but the true one is 0.7, 1 and 1.3 times as large. A
+hand drags the tool along a soft axis, and the arm opens a door. The program prints the
 largest force of the hand and at the handle for the present law and for each remedy, and the price
 of the remedy in an arm at rest: torque reversals, heat, and minutes without a limit cycle. With
 ``--rest-only`` it measures only the arm at rest, and to the end of the time.
