@@ -152,12 +152,12 @@ def test_a_loop_within_a_loop_over_the_same_arm_is_refused(make, is_same):
             tick.skip()
         with pytest.raises(pliant.ConfigError, match="another loop over this arm"):
             next(ticks)
-        for tick in pliant.Loop(arm, duration=0.1):  # one after the other
+        for tick in pliant.Loop(arm, duration=0.1):  # loops that follow each other are allowed
             tick.skip()
 
 
 class SlowRecorder:
-    """A recorder whose end takes until the torque of an arm is off, or for 5 s."""
+    """A recorder that takes to close until the torque of an arm is off, but at most 5 s."""
 
     def __init__(self, arm):
         self.arm, self.was_off, self.is_closed = arm, None, False

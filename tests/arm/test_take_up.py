@@ -139,7 +139,7 @@ def test_a_full_lead_has_a_margin_and_a_bound():
 
 
 class Reader:
-    """Arm of two joints: each reading takes the next of the `durations` [s], the last one on.
+    """Arm of two joints: each reading takes the next of the `durations` [s]; the last one repeats.
 
     The second joint answers from reading number `answers` on.
     """
@@ -265,7 +265,7 @@ def test_a_stiffness_is_judged_by_leads_that_are_large_enough():
         io = SimpleNamespace(servos=arm.servos, model=arm.model, gravity=lambda: weights)
         return stiffness_mismatch(io, leads) is not None
 
-    # Ratio of stiffness; friction; encoder step; share of the expected lead.
+    # Rows about the ratio of stiffness (two), friction, encoder step, share of the expected lead.
     for accepted, warned in (
         ((1.0, 1.0 / kp / 1.45), (1.0, 1.0 / kp / 1.55)),
         ((1.0, 1.45 / kp), (1.0, 1.55 / kp)),
@@ -278,7 +278,7 @@ def test_a_stiffness_is_judged_by_leads_that_are_large_enough():
 
 
 def test_an_arm_that_lies_on_its_table_is_not_called_stiff(monkeypatch):
-    """After each ending the arm lies on the table, which carries part of its weight."""
+    """After a descent the arm lies on the table, which carries part of its weight."""
     texts, post = [], MESSAGES.post
 
     def record(text, *arguments, **options):
@@ -325,7 +325,7 @@ def test_errors_of_the_disturbance_observer_have_three_equal_poles(dt):
 
 
 def test_the_disturbance_observer_finds_a_load_from_rest_at_once():
-    """Readings without noise of a joint that falls from rest, with a brake after 20 ms."""
+    """The readings without noise are of a joint that falls from rest, with a brake after 20 ms."""
     d, u = np.array([-4.0]), np.array([3.0])
     observer = _DisturbanceObserver(0.0, np.zeros(1))
     observer.send(0.02, u)

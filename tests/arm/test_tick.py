@@ -221,7 +221,7 @@ def test_arrays_of_a_state_that_is_kept_do_not_change():
             assert array.tolist() == [0.001 * cycle] * model.n
     for cycle, view in enumerate(views, 5):
         assert view.tolist() == [0.001 * cycle] * (model.n - 1)
-    # Nothing refers to the arrays of earlier states: three are in use.
+    # Arrays of states that are no longer referenced are used again: three suffice.
     assert len({id(state(cycle).q) for cycle in range(20, 40)}) == 3
 
 

@@ -122,7 +122,7 @@ def test_plug(holes, conditions):
     assert max(plug.along for plug in result) < 11.5  # [N], measured 4.0, cap 10
     assert max(plug.across for plug in result) < 5.0  # [N], measured 2.1
     assert max(plug.off for plug in result) < 0.003  # [m], measured 0.001
-    # Measured 15.
+    # Measured: 15 times.
     assert max(plug.across for plug in stiff) > 3.0 * max(plug.across for plug in result)
     assert max(plug.across for plug in stiff) > 12.0  # [N], measured 20; 8.5 with exact holes
 
@@ -134,7 +134,7 @@ def test_a_blocked_plug_pushes_with_its_cap():
     assert not result.inside
     assert not stiff.inside
     assert result.along == pytest.approx(6.0, abs=1.5)
-    assert stiff.along > 1.4 * result.along  # measured 1.8: no more, since the servos are springs
+    assert stiff.along > 1.4 * result.along  # measured 1.8; the servos are springs and yield
     assert stiff.across > 5.0 * result.across  # measured 40
 
 

@@ -53,7 +53,7 @@ def read(name, tmp_path, backend):
 
 
 def on_bytes(arm_config, model):
-    """Return servo parameters of an arm on emulated servos: of the arm, true ones, of its model."""
+    """Return servo parameters with emulated servos: those of the arm, true ones, of its model."""
     with make_emulator(arm_config, clock="steps") as bus:
         servo_bus = ServoBus(
             factory.servo_specs(arm_config, bus.ports),
