@@ -739,7 +739,7 @@ def main(
     print(program.head(columns), flush=True)
     for name in arm or ARMS:
         if not is_here(name):
-            print(f"{name}: no description beside the project, skipped")
+            print(f"{name}: its URDF is not available, skipped")
             continue
         if hand:
             held = in_hand(name, poses, seed=seed, on_bytes=over_bytes, usb_latency=usb_latency)

@@ -190,7 +190,7 @@ FAULT_CASES: tuple[FaultCase, ...] = (
         act=_once(lambda s: s.bus.faults.inject("deaf", ELBOW, count=8)),
     ),
     FaultCase(
-        title="it no longer answers, but has power",
+        title="the elbow's servo no longer answers, but has power",
         act=_once(lambda s: s.bus.faults.inject("lose", ELBOW, count=ALWAYS)),
     ),
     FaultCase(
@@ -208,7 +208,7 @@ FAULT_CASES: tuple[FaultCase, ...] = (
         title="the adapter is unplugged", act=_once(lambda s: s.bus.pull()), state="host loss"
     ),
     FaultCase(
-        title="it is plugged in again, the program started again",
+        title="the adapter is plugged in again, the program started again",
         act=_once(lambda s: s.bus.pull()),
         state="host loss",
         after=lambda bus: bus.put_back(),
