@@ -325,7 +325,8 @@ def friction_ratio(case: Case) -> Array:
     goals: list[Array] = [bench.start] * (2 * case.delay + 1)
     for _, _, command in closed_loop(plant, controller, circle, LESSON):
         goals.append(command.goal)
-        # Goal before the last reading was taken, and position in the middle of that period.
+        # Use the goal in force before the last reading, and the position in the middle of that
+        # period.
         v = np.asarray(controller.diagnostics.velocity)
         q = controller.reading - 0.5 * PERIOD * v
         friction_torque = np.asarray(table.kp) * (goals[-2 - 2 * case.delay] - q)

@@ -126,7 +126,7 @@ def test_an_exception_lowers_the_arm_and_is_raised_again(make):
     assert not arm.enabled
     plant = arm.drive.plant
     assert plant.tool[2, 3] < -0.6
-    # A joint that friction stopped before its rest position may still swing there.
+    # A joint that friction stopped before its rest position may still swing toward it.
     assert np.linalg.norm(plant.ground_truth.frame("tool").twist()[:3]) < 0.03
     for _ in range(100):
         plant.advance()
@@ -540,7 +540,7 @@ def test_an_arm_is_resumed_with_the_commands_in_its_registers(io):
     drive = io.drive
     drive.goals, drive.limits = np.linspace(0.2, 0.7, 6), np.linspace(1.0, 1.5, 6)
     drive.silent, drive.enabled = {1}, np.array([True, True, False, True, True, True])
-    drive.goals[2] = drive.limits[2] = np.nan  # its torque is off
+    drive.goals[2] = drive.limits[2] = np.nan  # registers of a joint without torque
     assert io.resume(100.0)
     # `resume` reads until all joints answer, but at most `RESUME_READS` times more.
     assert drive.reads == RESUME_READS + 1

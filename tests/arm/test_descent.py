@@ -40,7 +40,7 @@ FORCES = {
         45: 19.0, 47: 18.0,
     },
 }  # fmt: skip
-#: Speed of the tool while servos that are too weak are lowered [m/s].
+#: Speed of the tool while arms with servos that are too weak are lowered [m/s].
 SPEEDS = {
     "so101": {39: 0.28},
     "koch": {35: 0.507, 36: 0.309, 43: 0.277, 44: 0.212, 46: 0.854},
@@ -312,8 +312,8 @@ def test_a_slow_bus_lowers_an_arm_as_softly(number, cycle):
 
 @pytest.mark.parametrize("arm", ["so101", "koch"])
 def test_torque_on_survives_a_computer_that_stalls(arm, monkeypatch):
-    # All assumptions are true; only the periods are irregular. Poles for the mean period, without
-    # bounds on the torque, shook these arms at 0.8 to 3.1 m/s.
+    # All assumptions are true; only the periods are irregular. With poles for the mean period and
+    # without bounds on the torque, these arms shook at 0.8 to 3.1 m/s.
     emulated, chance = descent.make_emulator, random.Random(1)
 
     def stalling(*args, **kwargs):

@@ -648,7 +648,7 @@ def test_a_descent_sends_its_orders_at_its_rate(monkeypatch):
     run = Descent(monkeypatch, stall=0.055)
     ticks = []
     assert descend(run, None, 100.0, lambda: False, on_tick=ticks.append)
-    assert run.calls == [0.0]  # watchdogs off first
+    assert run.calls == [0.0]  # switch the watchdogs off first
     assert len(ticks) == 10
     # After a stall, the loop does not make up for all ticks that it missed.
     assert np.diff([time for time, _ in run.sent]) == pytest.approx([0.065, 0.0, 0.0, *[0.01] * 6])

@@ -562,7 +562,7 @@ def test_a_stopped_program_has_the_time_of_its_bus(monkeypatch):
     beats = Beats(monkeypatch)
     beats.is_stopped = True
     assert beats.checks(1.0) is None
-    beats.is_stopped = False  # continued, by a debugger or `fg`
+    beats.is_stopped = False  # a debugger or `fg` continues the program
     assert beats.checks(1.0) is None
     beats.is_stopped = True
     problem, after = beats.checks(60.0)
@@ -585,7 +585,7 @@ def test_a_message_of_the_program_ends_its_silence_and_its_stop(monkeypatch):
         for _ in range(3):
             beats.program.restart()
             assert beats.checks(1.4) is None
-        # A restart counts time from now on, and the heartbeat at that time is not a new one.
+        # After a restart, time counts from then on, and the heartbeat of that moment is not new.
         beats.heartbeat[0] += 1.0
         beats.now += 100.0
         beats.program.restart()

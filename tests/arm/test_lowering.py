@@ -71,8 +71,8 @@ def test_goes_to_a_rest_pose_first(make):
 def test_ten_poses_over_a_table(bring, ticks):
     runs = [bring(q, over_table=True, ticks=ticks) for q in postures(10)]
     assert max(run.speed for run in runs) < (0.2 if ticks else 0.18)
-    # The bound is 15 N, or the weight that finally rests on the table if that is larger. It is not
-    # met in pose 9: the arm slides along the table, which has no friction, and presses with 18 N.
+    # The bound is 15 N, or the weight that finally rests on the table if that is larger. Pose 9
+    # exceeds it: the arm slides along the table, which has no friction, and presses with 18 N.
     excess = [run.force - max(run.resting, 15.0) for run in runs]
     assert max(excess[:9]) < 2.0
     assert excess[9] < 4.0

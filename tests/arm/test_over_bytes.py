@@ -207,7 +207,7 @@ def test_lowered_after_the_program_stalled(family, q):
     speeds = []
     with arm_over_bytes(family, q, watchdog=0.2) as (bus, arm):
         arm.enable()
-        arm.clock.wait_until(arm.clock.now() + 1.0)  # longer than any watchdog
+        arm.clock.wait_until(arm.clock.now() + 1.0)  # longer than the time of any watchdog
         stalled = bus.time
         height = bus.plant.tool[2, 3]
         wait = arm.clock.wait_until

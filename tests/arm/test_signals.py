@@ -263,7 +263,7 @@ def test_signals_without_a_descent_are_raised_once(monkeypatch):
         ("handler", True, False),
         (signal.SIG_IGN, False, False),
         (signal.SIG_DFL, False, True),
-        (None, False, True),  # set from C
+        (None, False, True),  # a handler that C code has set
     ],
 )
 def test_a_signal_without_an_arm_goes_to_its_former_handler(
@@ -293,5 +293,5 @@ def test_arms_and_signals_of_the_parent_are_not_those_of_a_forked_child(monkeypa
     assert registry.arms == [child]
     assert registry.pending is None
     assert set(handlers.values()) == {registry._catch}
-    registry.remove(presses.arms[0])  # of the parent
+    registry.remove(presses.arms[0])  # an arm of the parent process
     assert registry.arms == [child]

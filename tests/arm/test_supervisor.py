@@ -224,7 +224,7 @@ def test_an_arm_in_real_time_comes_down_without_its_program(busy):
     arm = bare_arm("koch", real_time=True, comm_timeout=0.1, dt=0.005, handle_signals=False)
     plant, speeds = arm.drive.plant, []
     arm.open()
-    plant.reset(np.array([0.0, 1.5, 0.0, 0.0, 0.0]))  # 3 cm of descent
+    plant.reset(np.array([0.0, 1.5, 0.0, 0.0, 0.0]))  # a descent of 3 cm
     height = plant.tool[2, 3]
 
     def run():

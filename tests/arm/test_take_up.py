@@ -134,7 +134,7 @@ def test_joints_of_unknown_stiffness_start_with_less_torque_and_a_longer_lead(is
 
 def test_a_full_lead_has_a_margin_and_a_bound():
     torque, kp = np.array([1.0, -1.0, 0.0, 9.0, -9.0]), np.array([10.0, 20.0, 10.0, 10.0, 10.0])
-    # Twice the torque over the assumed stiffness, and 0.03 rad for the motion; at most 0.8 rad.
+    # The lead is twice torque / assumed stiffness, plus 0.03 rad for the motion, at most 0.8 rad.
     assert full_lead(torque, kp) == pytest.approx([0.23, -0.13, 0.0, 0.8, -0.8])
 
 
@@ -312,7 +312,7 @@ def test_only_a_lead_that_is_too_large_tells_about_the_servos_of_a_supported_arm
 
 @pytest.mark.parametrize("dt", [0.004, 0.02])
 def test_errors_of_the_disturbance_observer_have_three_equal_poles(dt):
-    """The errors of displacement, speed and disturbance decay like those of the critical filter."""
+    """The errors of displacement, speed and disturbance decay without oscillation."""
     pole, columns = 30.0, []
     for error in np.eye(3):
         observer = _DisturbanceObserver(0.0, np.zeros(1))
@@ -366,7 +366,7 @@ def test_the_balance_pushes_no_harder_than_for_the_largest_load():
         [model.forward_kinematics(q + side * step)[2, 3] for side in (1.0, -1.0)]
         for step in h * np.eye(5)
     ]
-    load = 0.6 * 9.81 * np.subtract(*np.transpose(heights)) / (2.0 * h)  # of 0.6 kg [N·m]
+    load = 0.6 * 9.81 * np.subtract(*np.transpose(heights)) / (2.0 * h)  # torque for 0.6 kg [N·m]
     beyond = 0.6 * np.abs(weight) + 2.0 * friction
     low, high = transfer._bounds
     usable = np.asarray(arm.servos.max_torque)

@@ -55,7 +55,7 @@ def test_limits_equal_their_formula(supply, lead):
     count = 0
     for _ in range(200):
         position = rng.normal(0.0, 1.0, size)
-        # The gripper, off the chain, may be unknown.
+        # The position of the gripper, which is off the chain, may be unknown.
         position[4] = np.nan if rng.random() < 0.2 else position[4]
         positions = PositionFilter(np.ones(size))
         positions.update(position, np.ones(size, dtype=bool), 0.0)

@@ -26,7 +26,7 @@ def test_drawer(degrees, conditions):
     with nullcontext() if conditions is NOMINAL else under(conditions):
         result = tasks.pull_drawer(Settings.drawer(), degrees=degrees, conditions=conditions)
     assert result.way > 0.249  # [m], of 0.25
-    assert result.force < 17.5  # [N], measured 15.4; the promise is the arm's `firm`, 15 N
+    assert result.force < 17.5  # [N], measured 15.4; the cap is the arm's `firm`, 15 N
     assert result.across < 10.5  # [N], measured 8.4
     assert result.torque < 1.5  # [N·m], measured 1.1
     stiff = tasks.pull_drawer(STIFF, degrees=degrees, conditions=conditions)
@@ -88,7 +88,7 @@ def test_hand_over(conditions):
     assert result.effort < 25.0  # [N], measured 19.7, 22
     assert (
         0.003 < result.sag < 0.010
-    )  # [m], measured 0.007; 0.0001 with the payload of 0.3 kg known
+    )  # [m], measured 0.007; 0.0001 if the controller knows the payload
     assert result.fastest < 0.5  # [m/s], measured 0.36
     stiff = tasks.hand_over(STIFF, conditions=conditions)
     assert stiff.effort > 2.0 * result.effort  # measured 2.8

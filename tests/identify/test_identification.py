@@ -180,4 +180,5 @@ def test_an_arm_that_is_held_is_left_holding():
         with pytest.raises(pliant.ServoError, match=r"behind|left its range"):
             identify.identify_servos(plant, model, gap.servos(model))
     command = plant._bus.sent
-    assert np.abs(command.goal - plant.q).max() < 0.2  # near its pose, not on the planned motion
+    # The last goal is near the pose, not on the planned motion.
+    assert np.abs(command.goal - plant.q).max() < 0.2

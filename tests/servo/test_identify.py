@@ -322,7 +322,7 @@ def test_settings_that_weaken_or_delay_a_servo_are_noted(model, registers, expec
             100,
             4000,
         ),
-        # Several turns: the range of one turn about the zero.
+        # In a mode with several turns, the range is one turn about the zero.
         (
             XL,
             {"operating_mode": 4, "min_position_limit": 1000, "max_position_limit": 3000},

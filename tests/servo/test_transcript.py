@@ -555,7 +555,8 @@ def test_a_session_makes_the_recorded_requests(name):
     assert len(lines) == len(expected)
 
 
-#: Requests of a session over bytes: read, sync read, write, sync write; and their counter.
+#: Numbers of requests in a session over bytes: read, sync read, write, sync write; and the counter
+#: `transactions`.
 COUNTS = {
     "sts": (54, 20, 15, 14, 104),
     "xm": (83, 24, 21, 13, 142),
