@@ -252,7 +252,7 @@ class Joints:
         self._period = period
 
     def reset(self, q: Array) -> None:
-        """Reset the state to that of an arm at rest in q (n,) [rad]."""
+        """Reset the state for an arm at rest in q (n,) [rad]."""
         self._before, self.velocity = q.copy(), np.zeros(q.size)
 
     def see(self, q: Array) -> None:
@@ -440,7 +440,7 @@ class Admittance:
         self._chance = np.random.default_rng(seed)
 
     def reset(self, q: Array) -> None:
-        """Reset the state to that of an arm at rest in q (n,) [rad]."""
+        """Reset the state for an arm at rest in q (n,) [rad]."""
         self._joints.reset(q)
         self._goal = q.copy()
         self._load = self._model.gravity(q)

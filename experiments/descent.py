@@ -491,7 +491,7 @@ def robot(name: str) -> Model:
 
 
 def configuration(name: str) -> Config:
-    """Return the built-in configuration of an arm, without its table."""
+    """Return the built-in configuration of an arm, without the table under the arm."""
     urdf = ROBOTS / BESIDE[name][0] if name in BESIDE else None
     return config.load(name, backend="emulator", urdf=urdf, table=False)
 

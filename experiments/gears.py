@@ -99,7 +99,7 @@ REMEDIES = {
 }
 #: Ratios of true to assumed friction.
 FACTORS = (0.7, 1.0, 1.3)
-#: Row with the friction of the servo table instead of that of real gears.
+#: Row that has the friction of the servo table instead of the friction of real gears.
 IDEAL = "ideal gears"
 
 

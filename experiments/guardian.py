@@ -53,7 +53,7 @@ ARMS = {
 }
 #: Phases of a program, and time after the beginning of each within which it is ended [s].
 PHASES = {"enabling": 1.5, "running": 2.0, "descending": 4.0, "teaching": 4.0}
-#: Time after an ending within which packets may still be those of the ended program [s].
+#: Time after an ending within which packets of the ended program may still arrive [s].
 IN_FLIGHT = 0.02
 #: Longest time until the arm must be lowered [s], and time of observation after torque off [s].
 PATIENCE, AFTER = 90.0, 1.0

@@ -73,7 +73,7 @@ def python_blocks(text: str) -> list[str]:
 
 
 def documents() -> list[Path]:
-    """Return those of the README and the pages that contain Python code to run."""
+    """Return the README and the pages that contain Python code to run."""
     files = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
     return [p for p in files if p.exists() and python_blocks(p.read_text(encoding="utf-8"))]
 

@@ -124,7 +124,7 @@ def estimated_force(trace: Trace) -> Array:
 
 
 def chapter(numbers: Numbers) -> Chapter:
-    """Return the chapter with the paper's statements about doors and those of our study."""
+    """Return the chapter with statements of the paper and of our study about doors."""
     opening, both = numbers["opening"], numbers["opening_and_closing"]
     rigid = opening["door"]["rigid"]
     soft, hard = rigid["cap"], rigid["stiff"]
@@ -180,7 +180,7 @@ NAMES = {
 }
 #: Opening below which a door counts as stuck [deg].
 STUCK = 35.0
-#: Allowed difference of the angle at a detected end of the motion from that of the true end [deg].
+#: Allowed difference between the opening at a detected end of the motion and at the true end [deg].
 END_TOLERANCE = 1.0
 
 

@@ -725,7 +725,7 @@ def test_a_descent_goes_on_from_present_goals_once_a_silent_joint_answers(monkey
         (0.5, 3.0, 0.5, None),
         (9.0, 3.0, "highest", None),
         (-9.0, 3.0, "lowest", None),
-        # A joint that its servo carries at its torque limit gets no higher limit.
+        # If a servo holds its joint at the torque limit, this limit is not raised.
         (1.5, 1.1, 1.5, 1.1),
         (1.5, 0.9, 1.5, None),
         (1.05, 1.1, 1.05, None),

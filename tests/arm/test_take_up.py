@@ -84,7 +84,7 @@ def test_a_short_silence_only_delays():
 
 
 def test_joints_that_have_torque_keep_goals_that_their_limits_can_hold():
-    """The goals of joints 0 to 2 are known, that of joint 3 is not; joint 4 has no torque."""
+    """The goals of joints 0 to 2 are known, the goal of joint 3 is not; joint 4 has no torque."""
     arm = bare_arm("so101")
     kp, usable = np.asarray(arm.servos.kp), np.asarray(arm.servos.max_torque)
     weight, on = np.array([0.1, -0.2, 0.3, 3.0, 0.4]), np.array([True, True, True, True, False])
@@ -401,7 +401,7 @@ def test_an_arm_moves_if_its_tool_sinks_or_rises_by_more_than_encoder_steps():
 
 @pytest.mark.parametrize("ratios", [(-0.094, 1.0), (-0.094, 0.42), (1.0, 0.42)])
 def test_a_joint_that_pushes_opposite_to_its_weight_is_not_called_soft(ratios):
-    """The leads of two joints are those of servos with these ratios of true to assumed k_p."""
+    """The leads of two joints result from servos with these ratios of true to assumed k_p."""
     arm = bare_arm("so101")
     weight, kp = np.array([0.0, 1.0, 1.0, 0.0, 0.0]), np.asarray(arm.servos.kp)
     leads = np.zeros(5)

@@ -12,8 +12,8 @@ from pliant._core import SUPPORT, CommandLimiter, JointReadings, PositionFilter,
 from pliant.arm import Budget, State
 
 BENCHES = Path(__file__).resolve().parents[2] / "benches"
-#: Largest number of calls per tick, and of those of functions written in Python. A count needs no
-#: idle machine; Python versions and NumPy differ by some calls.
+#: Largest number of calls per tick, and of calls of functions written in Python among them. A count
+#: needs no idle machine; versions of Python and NumPy differ by some calls.
 CALLS = {"null": (55, 35), "so101": (75, 32)}
 
 

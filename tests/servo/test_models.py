@@ -67,7 +67,7 @@ NAMES = {
     "limit": ("torque_limit", "goal_current", "goal_pwm"),
     "goal_velocity": ("goal_velocity",),
 }
-#: Sign coding of the driver, by that of the emulator.
+#: Sign coding of the driver, by sign coding of the emulator.
 SIGNS = {None: "unsigned", 0: "twos", 10: "bit10", 11: "bit11", 15: "bit15"}
 #: Registers whose sign driver and emulator may code differently: positions within a turn are never
 #: negative, and a tripped watchdog is 255 for the driver, -1 for the emulator.

@@ -1,4 +1,4 @@
-"""Late replies: a reply that arrives after its timeout is not taken for that of a later request."""
+"""Late replies: a reply after its timeout is not taken for the reply to a later request."""
 
 import numpy as np
 import pytest
