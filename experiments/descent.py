@@ -4,8 +4,8 @@
 the worst values per arm, over random poses with random errors of the assumptions, in free air and
 over a table, and for the ready pose. With `--bytes` the arm has emulated servos on a serial port,
 in emulated time. With `--hand`, torque is switched on while a hand holds the arm; the hand releases
-the arm abruptly when the first goals arrive, and the arm is not lowered. With `--park` the arm moves
-to its rest pose before it is lowered.
+the arm abruptly when the first goals arrive, and the arm is not lowered. With `--park`, the arm
+moves to its rest pose before it is lowered.
 """
 
 from __future__ import annotations
@@ -244,7 +244,7 @@ class ParkResult:
         beyond: Largest height of the tool above the highest point of the straight path in joint
             space from the start to the rest pose [m].
         speed: Largest speed of the tool [m/s].
-        missed: Smallest distance from the rest pose, that of the farthest joint [rad].
+        missed: Smallest distance of the farthest joint from its rest position [rad].
         seconds: Duration of `Arm.park` [s].
     """
 
@@ -329,7 +329,7 @@ class Peaks:
     """Extreme values since `PeakRecorder.begin`, as in `DescentResult`.
 
     Attributes:
-        distance: Smallest distance from the rest pose, that of the farthest joint [rad].
+        distance: Smallest distance of the farthest joint from its rest position [rad].
     """
 
     moved: float = 0.0
@@ -595,7 +595,7 @@ def in_hand(
 def to_rest(name: str, count: int, *, seed: int = 0, on_bytes: bool = False) -> list[ParkJob]:
     """Return runs in which the arm moves to its rest pose before it is lowered, in free air.
 
-    The poses and parameters are those of `descents`.
+    Poses and parameters are the same as in `descents`.
     """
     return [
         ParkJob(
@@ -650,7 +650,7 @@ def hand_rows(name: str, work: Sequence[HandJob], seen: Sequence[HandResult]) ->
 
 
 def park_rows(name: str, work: Sequence[ParkJob], seen: Sequence[ParkResult]) -> list[str]:
-    """Return lines of the table of motions to the rest pose, as `rows` does."""
+    """Return lines of the table for motions to the rest pose, in the form of `rows`."""
     columns = (("beyond", 1e3, 0), ("speed", 1.0, 2), ("missed", 1.0, 2), ("seconds", 1.0, 0))
     pairs = list(zip(work, seen, strict=True))
     cases = {

@@ -95,7 +95,7 @@ def test_down_from_the_ready_pose_within_fifteen_seconds(arm, number):
     assert run.seconds < 15.0  # measured 14.5 and 11.6
 
 
-# In brackets: height above the straight path, and distance from the rest pose, where the joints do
+# In brackets: height above the straight path, and distance from the rest pose, if the joints did
 # not wait for each other.
 @pytest.mark.parametrize(
     ("arm", "number", "missed"),
@@ -110,7 +110,7 @@ def test_joints_with_weak_servos_do_not_make_the_others_lift_the_tool_on_the_way
 ):
     (job,) = (job for job in descent.to_rest(arm, max(number + 1, -number)) if job.number == number)
     run = job.run()
-    # Joints have half and 2.5 times the assumed stiffness by turns.
+    # The joints have half and 2.5 times the assumed stiffness, alternately.
     assert run.apart == pytest.approx(2.5)
     assert run.beyond < 0.015
     assert run.speed < 0.20
