@@ -576,7 +576,7 @@ def test_the_torque_of_all_servos_is_read_only_if_it_takes_little_of_a_cycle(cha
 
 
 def test_a_register_is_wrong_after_three_packets_and_half_a_second():
-    """Each row: number of the write packet, value read, time [s]; counts of mismatches; fault."""
+    """A row has write packet number, value read, time [s]; counts of mismatches; True: a fault."""
     device = Device(ServoSpec(name="pan", model="STS3215-7.4V", id=1, port=""), 0, 1, 1)
     device.enabled, written = True, 2000
     assert not device.has_suspect_register

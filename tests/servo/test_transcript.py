@@ -25,7 +25,8 @@ from pliant.servo import scan as scanning
 from pliant.servo._transactions import TransactionGuard
 from pliant.servo.eeprom import RegisterChange, plan_restore, plan_setup, set_id, write_changes
 
-#: Number of requests per call that are recorded in full; of the others, count and checksum are.
+#: Number of requests per call that are recorded in full. Of the others, count and checksum are
+#: recorded.
 MOST = 12
 FOLDER = Path(__file__).parents[1] / "data" / "transcripts"
 RANGE = {"lower": -1.2, "upper": 1.1}
