@@ -1,6 +1,6 @@
 """An arm that gives way sideways and holds everything else, while a strong hand drags it.
 
-Runs on the simulated arm; on a real one only the line that makes `arm` changes.
+Runs on the simulated arm; example 19 has the loop that controls a real arm too.
 """
 
 import os
@@ -16,7 +16,7 @@ model = pliant.robots.arm7()
 settings = pliant.Settings(
     axes={
         "y": pliant.Axis(soft=4.0, firm=15.0, adaptation=0.999)
-    },  # [N], [N]; every other axis holds
+    },  # soft and firm [N]; all other axes are stiff
 )
 controller = pliant.Controller(model, settings)
 

@@ -1,7 +1,7 @@
 """Servos softer than assumed: the arm drifts until gravity is captured.
 
-The goal offset that holds an arm is g / k_p. Where k_p is wrong, measure the offset instead: hold
-the pose with an integrating goal, and keep the lead.
+The goal offset (lead) that holds an arm against gravity is g / k_p. If k_p is wrong, measure the
+lead instead: hold the pose with integral action on the goal, and store the resulting lead.
 """
 
 import os
@@ -19,7 +19,7 @@ soft = pliant.Settings(
 )
 holding = pliant.Settings(
     tracking=pliant.Tracking(integrate=4.0)
-)  # every axis holds; the goal integrates [1/s]
+)  # all axes stiff, with integral action on the goal [1/s]
 
 
 def run(controller: pliant.Controller, arm: pliant.sim.Plant, seconds: float) -> None:

@@ -13,7 +13,7 @@ import pliant.sim
 
 SECONDS = 4.5 if os.environ.get("PLIANT_SHORT") else 11.0
 START = [-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657]  # [rad]
-DEPTH = 0.025  # [m] of the target below the mean surface
+DEPTH = 0.025  # of the target below the mean surface [m]
 
 model = pliant.robots.arm7()
 variants = {

@@ -32,7 +32,7 @@ for name, axis in variants.items():
         if abs(arm.time - 6.0) < 1e-6:
             arm.set_hands([])  # the wall is gone
         target = start.copy()
-        target[:2, 3] += 0.10 * np.clip((arm.time - 1.0) / 2.0, 0.0, 1.0)  # x and y at once [m]
+        target[:2, 3] += 0.10 * np.clip((arm.time - 1.0) / 2.0, 0.0, 1.0)  # x and y together [m]
         before = arm.tool[:3, 3]
         command = controller.step(arm.read().q, target)
         arm.write(command.goal, command.torque_limit)

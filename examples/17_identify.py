@@ -1,8 +1,8 @@
 """Identify an arm that differs from its table: servos, payload, delay.
 
 The simulated servos are 20 % softer than their table, have 40 % more friction and a tick of delay,
-and the tool carries an unknown 0.2 kg. `pliant.identify` needs positions, goals and limits only;
-on hardware `arm` is the result of `pliant.connect`.
+and the tool carries an unknown 0.2 kg. `pliant.identify` needs positions, goals and limits only, so
+its functions also take a real arm, the result of `pliant.connect`.
 
 python examples/17_identify.py
 """

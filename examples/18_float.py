@@ -19,7 +19,7 @@ count, deadband = np.deg2rad([0.088, 0.06])  # [rad]
 table = model.servos.replace(encoder_step=count, stiffness_known=False)
 
 for kp_scale in (0.5, 1.0, 2.0):
-    # From 8 s on a hand moves the tool 0.12 m to the left within 2 s, holds it, and lets go.
+    # From 8 s + SECONDS on, a hand moves the tool 0.12 m to the left in 2 s, holds it, and lets go.
     course = pliant.sim.ForceProfile(start=8.0 + SECONDS, rise=2.0, end=11.0 + SECONDS)
     hand = pliant.sim.Drag(axis="y", distance=0.12, stiffness=2000.0, limit=60.0, course=course)
     arm = pliant.sim.Plant(

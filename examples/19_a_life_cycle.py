@@ -1,7 +1,7 @@
 """Life cycle of an arm: torque on, an error that is handled, and a descent at the end.
 
-Runs on a simulated SO-101; `pliant.connect("my_arm.toml")` connects a real one. Ctrl-C lowers it at
-any time.
+Runs on a simulated SO-101. For a real arm, call `pliant.connect("my_arm.toml")` and omit the height
+of the tool, which `arm.drive.plant`, the simulation, returns. Ctrl-C lowers the arm at any time.
 """
 
 import os

@@ -202,7 +202,7 @@ def available() -> tuple[list[str], list[str]]:
 def _table(name: str, model: pliant.Model) -> pliant.Servos:
     """Return servo parameters for the model of a real robot, which has none.
 
-    They are those of a built-in arm of the same type, or estimates by the simulator.
+    They are copied from a built-in arm of the same type, or estimated by the simulator.
     """
     built_in = {"so101 (real)": "so101", "koch (real)": "koch"}.get(name)
     if built_in is not None:

@@ -199,7 +199,7 @@ class Promise:
 
     @property
     def kept_as_said(self) -> bool:
-        """True if the measured force is in a band with the larger one of `rubs` and `friction`."""
+        """True if the force is in the band that has the larger one of `rubs` and `friction`."""
         return abs(self.measured - self.promise) <= self.band + max(self.rubs - self.friction, 0.0)
 
     @property
@@ -261,7 +261,7 @@ class Bench:
     def keep(
         self, pose: int, q: Array, axis: str, sign: float, cap: float, *, guided: bool
     ) -> Promise:
-        """Push the tool along one soft axis by the hand; return expected and measured force.
+        """Push the tool along one soft axis with the hand; return expected and measured force.
 
         Args:
             pose: Index of the pose.

@@ -75,7 +75,7 @@ class CapResult:
 
     @property
     def kept(self) -> bool:
-        """True if measured and expected force differ by at most 15 % of the cap + `friction`."""
+        """True if |measured - promise| is at most 0.15 `cap` + `friction`."""
         return abs(self.measured - self.promise) <= 0.15 * self.cap + self.friction
 
 
@@ -127,7 +127,7 @@ def cases(count: int, margin: float = 0.0, seed: int = 0) -> Iterator[Case]:
 
 
 def keep(case: Case, *, guided: bool = False, conditions: Conditions = NOMINAL) -> CapResult:
-    """Drag the tool along one soft axis by a hand, hold it, and return the forces on the hand.
+    """Drag the tool along one soft axis with a hand, hold it, and return the forces on the hand.
 
     Args:
         case: Pose, axis, direction and cap.

@@ -44,9 +44,9 @@ NO_RATE_LIMITS: Mapping[str, Any] = {
     "max_tool_speed": (NO_LIMIT, NO_LIMIT),
     "torque_limits": TorqueLimits(stiffening_time=0.0),
 }
-#: Singularity damping λ of the pseudo-inverse in law `paper`: (λ₀, σ₀, λ_max). λ is λ₀, and grows
-#: by λ_max if the smallest singular value of the Jacobian is below σ₀; see docs/derivations.md,
-#: "Damping comes from the arm".
+#: Singularity damping λ of the pseudo-inverse in law `paper`: (λ₀, σ₀, λ_max). λ² is λ₀², plus
+#: (1 − (σ/σ₀)²) λ_max² if the smallest singular value σ of the Jacobian is below σ₀; see
+#: docs/derivations.md, "Damping comes from the arm".
 JACOBIAN_DAMPING = (0.02, 0.15, 0.2)
 #: Cap of a soft rotation at small deviations that suffices for tracking [N·m].
 TRACKING_TORQUE = 0.84
@@ -252,7 +252,7 @@ class Joints:
         self._period = period
 
     def reset(self, q: Array) -> None:
-        """Reset the state to that of an arm at rest in q (n,) [rad]."""
+        """Reset the state for an arm at rest in q (n,) [rad]."""
         self._before, self.velocity = q.copy(), np.zeros(q.size)
 
     def see(self, q: Array) -> None:
@@ -440,7 +440,7 @@ class Admittance:
         self._chance = np.random.default_rng(seed)
 
     def reset(self, q: Array) -> None:
-        """Reset the state to that of an arm at rest in q (n,) [rad]."""
+        """Reset the state for an arm at rest in q (n,) [rad]."""
         self._joints.reset(q)
         self._goal = q.copy()
         self._load = self._model.gravity(q)

@@ -56,7 +56,7 @@ def run(
         jobs: Number of processes.
     """
     if not 1 <= jobs <= MOST_JOBS:
-        raise ConfigError(f"--jobs must be within 1 and {MOST_JOBS}, got {jobs}")
+        raise ConfigError(f"--jobs must be from 1 to {MOST_JOBS}, got {jobs}")
     if urdf is None and (base or tip):
         raise ConfigError("--base and --tip belong to --urdf, which was not given")
     selected = numbers(only)

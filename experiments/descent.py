@@ -3,9 +3,9 @@
 ``python -m experiments.descent [--arm so101] [--poses 50] [--jobs 2] [--bytes]`` prints a table of
 the worst values per arm, over random poses with random errors of the assumptions, in free air and
 over a table, and for the ready pose. With `--bytes` the arm has emulated servos on a serial port,
-in emulated time. With `--hand` torque comes on while a hand holds the arm; the hand lets the arm go
-at once, and the arm is not lowered. With `--park` the arm moves to its rest pose before it is
-lowered.
+in emulated time. With `--hand`, torque is switched on while a hand holds the arm; the hand releases
+the arm abruptly when the first goals arrive, and the arm is not lowered. With `--park`, the arm
+moves to its rest pose before it is lowered.
 """
 
 from __future__ import annotations
@@ -193,7 +193,7 @@ class Job(Case):
 
 @dataclass(frozen=True, kw_only=True)
 class HandResult:
-    """Result of torque on of an arm in a hand that lets it go at once.
+    """Result of switching torque on in an arm that a hand holds and abruptly releases.
 
     Attributes:
         apart: Largest ratio between true and assumed stiffness of a joint.
@@ -214,7 +214,7 @@ class HandResult:
 
 @dataclass(frozen=True, kw_only=True)
 class HandJob(Case):
-    """One run: torque on of an arm in a hand that lets it go at once."""
+    """One run: torque is switched on in an arm that a hand holds and abruptly releases."""
 
     def run(self) -> HandResult:
         """Enable the arm and return the recorded result."""
@@ -244,7 +244,7 @@ class ParkResult:
         beyond: Largest height of the tool above the highest point of the straight path in joint
             space from the start to the rest pose [m].
         speed: Largest speed of the tool [m/s].
-        missed: Smallest distance from the rest pose, that of the farthest joint [rad].
+        missed: Smallest distance of the farthest joint from its rest position [rad].
         seconds: Duration of `Arm.park` [s].
     """
 
@@ -329,7 +329,7 @@ class Peaks:
     """Extreme values since `PeakRecorder.begin`, as in `DescentResult`.
 
     Attributes:
-        distance: Smallest distance from the rest pose, that of the farthest joint [rad].
+        distance: Smallest distance of the farthest joint from its rest position [rad].
     """
 
     moved: float = 0.0
@@ -395,7 +395,8 @@ class PeakRecorder:
 def _simulated(job: Case, kind: type[SimDrive] = SimDrive) -> Iterator[tuple[Arm, PeakRecorder]]:
     """Return the arm of a job on the simulator with a drive of this kind, and its recorder.
 
-    Goals and limits as of an earlier program hold the arm, with the leads for the true parameters.
+    The servos already hold the arm, as after an earlier program: with the leads that the true
+    parameters need.
     """
     model, truth = robot(job.arm), job.truth
     assert model.servos is not None
@@ -425,7 +426,7 @@ def _simulated(job: Case, kind: type[SimDrive] = SimDrive) -> Iterator[tuple[Arm
 def _over_bytes(job: Case) -> Iterator[tuple[Arm, PeakRecorder]]:
     """Return the arm of a job on emulated servos, and its recorder.
 
-    The emulator holds the arm until all servos have torque.
+    The emulator keeps the arm in its pose until all servos have torque.
     """
     own, truth = configuration(job.arm), job.truth
     model = own.model()
@@ -490,7 +491,7 @@ def robot(name: str) -> Model:
 
 
 def configuration(name: str) -> Config:
-    """Return the built-in configuration of an arm, without its table."""
+    """Return the built-in configuration of an arm, without the table under the arm."""
     urdf = ROBOTS / BESIDE[name][0] if name in BESIDE else None
     return config.load(name, backend="emulator", urdf=urdf, table=False)
 
@@ -543,8 +544,8 @@ def descents(
 ) -> list[Job]:
     """Return the runs of one arm: every pose in free air and over a table, and the ready pose.
 
-    The ready pose is combined with the first true parameters, without a load. `cycle` [s] is that
-    of `Case`.
+    The ready pose is combined with the first true parameters, without a load. For `cycle` [s], see
+    `Case`.
     """
     drawn = random_parameters(
         configuration(name).model() if on_bytes else robot(name), count, seed=seed
@@ -574,7 +575,7 @@ def in_hand(
 ) -> list[HandJob]:
     """Return runs in which torque comes on while a person's hand holds the arm.
 
-    The poses and parameters are those of `descents`; `usb_latency` [s] is that of `Case`.
+    Poses and parameters are the same as in `descents`; for `usb_latency` [s], see `Case`.
     """
     return [
         HandJob(
@@ -594,7 +595,7 @@ def in_hand(
 def to_rest(name: str, count: int, *, seed: int = 0, on_bytes: bool = False) -> list[ParkJob]:
     """Return runs in which the arm moves to its rest pose before it is lowered, in free air.
 
-    The poses and parameters are those of `descents`.
+    Poses and parameters are the same as in `descents`.
     """
     return [
         ParkJob(
@@ -638,7 +639,7 @@ def rows(name: str, work: Sequence[Job], seen: Sequence[DescentResult]) -> list[
 
 
 def hand_rows(name: str, work: Sequence[HandJob], seen: Sequence[HandResult]) -> list[str]:
-    """Return lines of the table of torque on in a hand, as `rows` does."""
+    """Return lines of the table for arms that a hand releases, in the form of `rows`."""
     pairs = list(zip(work, seen, strict=True))
     cases = {
         "no load": [(job, one) for job, one in pairs if not job.truth.load],
@@ -649,7 +650,7 @@ def hand_rows(name: str, work: Sequence[HandJob], seen: Sequence[HandResult]) ->
 
 
 def park_rows(name: str, work: Sequence[ParkJob], seen: Sequence[ParkResult]) -> list[str]:
-    """Return lines of the table of motions to the rest pose, as `rows` does."""
+    """Return lines of the table for motions to the rest pose, in the form of `rows`."""
     columns = (("beyond", 1e3, 0), ("speed", 1.0, 2), ("missed", 1.0, 2), ("seconds", 1.0, 0))
     pairs = list(zip(work, seen, strict=True))
     cases = {
@@ -728,7 +729,7 @@ def main(
         seed: Random seed of poses and true parameters.
         jobs: Number of processes.
         each: True prints every run too.
-        hand: True switches torque on in a hand, and does not lower the arm.
+        hand: True switches torque on while a hand holds the arm, and does not lower the arm.
         park: True moves the arm to its rest pose before it is lowered, in free air.
         over_bytes: True uses emulated servos on a serial port, in emulated time.
         usb_latency: Latency timer of the adapter of this port [s], only with `hand`.
@@ -738,11 +739,11 @@ def main(
     print(program.head(columns), flush=True)
     for name in arm or ARMS:
         if not is_here(name):
-            print(f"{name}: no description beside the project, skipped")
+            print(f"{name}: its URDF is not available, skipped")
             continue
         if hand:
             held = in_hand(name, poses, seed=seed, on_bytes=over_bytes, usb_latency=usb_latency)
-            results = list(run_jobs(held, jobs, f"torque on of {name}"))
+            results = list(run_jobs(held, jobs, f"torque on in {name}"))
             if each:
                 for start, result in zip(held, results, strict=True):
                     print(f"    {start.number} {result}", flush=True)

@@ -59,7 +59,7 @@ JOINTS = (
     "wrist_roll",
 )
 FAMILIES: dict[str, Family] = {
-    # Reduced gravity: the servos' stall torque of 2.9 N·m does not carry the arm at 9.81 m/s².
+    # Reduced gravity: the servos' stall torque of 2.9 N·m is too low for the arm at 9.81 m/s².
     "sts": Family(title="7 STS3215-12V", models=("STS3215-12V",) * 7, volts=12.0, gravity=3.0),
     "x": Family(
         title="4 XM540-W270, 2 XM430-W350, 1 XL430-W250",

@@ -106,7 +106,7 @@ def _once(do: Callable[[Scene], object]) -> Callable[[Scene], Array | None]:
 def _for_duration(
     seconds: float, begin: Callable[[ArmEmulator], object], end: Callable[[ArmEmulator], object]
 ) -> Callable[[Scene], Array | None]:
-    """Return an action that calls `begin` at once and `end` after `seconds` of emulated time."""
+    """Return an action that calls `begin` immediately, and `end` after emulated `seconds`."""
 
     def act(scene: Scene) -> Array | None:
         if scene.first:
@@ -118,7 +118,7 @@ def _for_duration(
                     watchers.remove(watch)
                     end(scene.bus)
 
-            # End the fault from the physics: the control loop may be blocked by the fault.
+            # End the fault in a callback of the physics: the fault may block the control loop.
             watchers.append(watch)
         return scene.target
 
@@ -190,7 +190,7 @@ FAULT_CASES: tuple[FaultCase, ...] = (
         act=_once(lambda s: s.bus.faults.inject("deaf", ELBOW, count=8)),
     ),
     FaultCase(
-        title="it no longer answers, but has power",
+        title="the elbow's servo no longer answers, but has power",
         act=_once(lambda s: s.bus.faults.inject("lose", ELBOW, count=ALWAYS)),
     ),
     FaultCase(
@@ -208,7 +208,7 @@ FAULT_CASES: tuple[FaultCase, ...] = (
         title="the adapter is unplugged", act=_once(lambda s: s.bus.pull()), state="host loss"
     ),
     FaultCase(
-        title="it is plugged in again, the program started again",
+        title="the adapter is plugged in again, the program started again",
         act=_once(lambda s: s.bus.pull()),
         state="host loss",
         after=lambda bus: bus.put_back(),

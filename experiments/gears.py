@@ -1,8 +1,8 @@
 """Remedies for gears that stick: ``python -m experiments.gears``.
 
-The gears of `arm7` and `so101` have the friction identified on real ones, which sticks and grows
-with the load. The controller knows it, but the true friction is 0.7, 1 and 1.3 times the assumed
-one. A hand drags the tool along a soft axis, and the arm opens a door. The program prints the
+The gears of `arm7` and `so101` have the friction identified on real gears, which stick and rub more
+under load. The controller knows this friction, but the true one is 0.7, 1 and 1.3 times as large. A
+hand drags the tool along a soft axis, and the arm opens a door. The program prints the
 largest force of the hand and at the handle for the present law and for each remedy, and the price
 of the remedy in an arm at rest: torque reversals, heat, and minutes without a limit cycle. With
 ``--rest-only`` it measures only the arm at rest, and to the end of the time.
@@ -99,7 +99,7 @@ REMEDIES = {
 }
 #: Ratios of true to assumed friction.
 FACTORS = (0.7, 1.0, 1.3)
-#: Row with the friction of the servo table instead of that of real gears.
+#: Row that has the friction of the servo table instead of the friction of real gears.
 IDEAL = "ideal gears"
 
 
@@ -325,7 +325,8 @@ def friction_ratio(case: Case) -> Array:
     goals: list[Array] = [bench.start] * (2 * case.delay + 1)
     for _, _, command in closed_loop(plant, controller, circle, LESSON):
         goals.append(command.goal)
-        # Goal before the last reading was taken, and position in the middle of that period.
+        # Use the goal in force before the last reading, and the position in the middle of that
+        # period.
         v = np.asarray(controller.diagnostics.velocity)
         q = controller.reading - 0.5 * PERIOD * v
         friction_torque = np.asarray(table.kp) * (goals[-2 - 2 * case.delay] - q)

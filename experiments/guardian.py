@@ -2,8 +2,8 @@
 
 Emulated servos run in a process of their own, in real time. Another process enables the arm, and
 is ended at a random time in a phase. Its guardian lowers the arm. The program prints the tables
-of docs/descents.md: for each ending the time from it to the guardian's first goal, and what the
-arm did; then what the guardian costs.
+of docs/descents.md: for each ending, the time until the guardian's first goal and the motion of the
+arm; then the cost of the guardian.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ ARMS = {
 }
 #: Phases of a program, and time after the beginning of each within which it is ended [s].
 PHASES = {"enabling": 1.5, "running": 2.0, "descending": 4.0, "teaching": 4.0}
-#: Time after an ending within which packets may still be those of the ended program [s].
+#: Time after an ending within which packets of the ended program may still arrive [s].
 IN_FLIGHT = 0.02
 #: Longest time until the arm must be lowered [s], and time of observation after torque off [s].
 PATIENCE, AFTER = 90.0, 1.0
@@ -164,7 +164,7 @@ def _say(word: str) -> None:
 
 
 def _perform() -> None:
-    """Wait for a line on standard input, and end this process as it says."""
+    """Wait for a line on standard input, and end this process in the way that the line names."""
     ending = sys.stdin.readline().strip()
     if ending == "segmentation fault":
         ctypes.string_at(0)
@@ -186,7 +186,7 @@ def _perform() -> None:
 
 
 def victim(robot: str, port: str, phase: str, *, guardian: bool = True) -> None:
-    """Run the program that is ended: print its guardian, and the beginning of the phase."""
+    """Run the program that is ended; print its guardian's process id, and when the phase begins."""
     signal.signal(signal.SIGHUP, signal.SIG_DFL)  # `nohup` ignores it
     threading.Thread(target=_perform, daemon=True).start()
     arm = make_arm(configuration(robot, backend="bus", port=port), guardian=guardian)
@@ -252,8 +252,8 @@ def start(case: Case) -> tuple[list[float], float]:
 def run(case: Case) -> dict[str, Any]:
     """Run a case; return the summary of the `Recorder`, and values of the processes.
 
-    Keys beside those of the summary: `code`, the program's exit code; `messages` of the program and
-    of the guardian; `memory`, the guardian's own memory [MB]; `guarded`, True if it ended.
+    Keys in addition to the summary's: `code`, the program's exit code; `messages` of the program
+    and of the guardian; `memory`, the guardian's own memory [MB]; `guarded`, True if it ended.
     """
     q, delay = start(case)
     with tempfile.TemporaryFile("w+") as stderr, emulator(case.robot, q) as bus:

@@ -220,7 +220,10 @@ class Job:
 
 def text(pushes: Sequence[HostLossPush]) -> str:
     """Return a Markdown table per arm, with separate rows for translations and rotations."""
-    columns = ("arm", "pushes", "walled", "felt/said: 5th %", "median", "95th %", "most")
+    columns = (
+        *("arm", "pushes", "cannot be moved, as reported"),
+        *("felt/reported: 5th %", "median", "95th %", "largest"),
+    )
     rows = []
     for arm in dict.fromkeys(push.arm for push in pushes):
         for kind, unit in enumerate(("N", "N·m")):
@@ -235,7 +238,7 @@ def text(pushes: Sequence[HostLossPush]) -> str:
             cells = [*(f"{push:.2f}" for push in ratios), *(f"{push:+.2f}" for push in excess)]
             share = f"{100 * np.mean([m.allowed for m in not_walled]):.1f}"
             rows.append((f"{arm}, {unit}", len(selected), walled, *cells, share))
-    last_columns = ("felt − said: 95th %", "most", "within the allowance %")
+    last_columns = ("felt − reported: 95th %", "largest", "within the allowance %")
     return program.markdown((*columns, *last_columns), rows)
 
 

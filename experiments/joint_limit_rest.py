@@ -38,7 +38,7 @@ HAND_START, HAND_DURATION, SPEED, RELEASE = 0.1, 0.5, 0.1, 3.0
 OBSERVATION_STARTS, OBSERVATION_TIME = (2.5, 8.0), 1.0
 #: Number of poses per arm.
 POSES = 20
-#: Cases: delay of readings, equal to that of commands [ticks], and target adaptation η.
+#: Cases: delay of readings and, equally, of commands [ticks], and target adaptation η.
 CASES = ((0, 0.0), (1, 0.0), (0, 0.9))
 
 

@@ -111,7 +111,7 @@ class FaultResult:
 
 
 def run_fault(case: FaultCase, *, held: bool = False) -> FaultResult:
-    """Apply a fault to `arm7`, which holds its grasp pose with soft y at 100 Hz; then lower it.
+    """Apply a fault to `arm7`, which holds its grasp pose with soft y at 100 Hz; lower the arm.
 
     Args:
         case: The fault.

@@ -202,7 +202,7 @@ class Conditions:
         delay: Delays of readings and of commands [ticks], known to the controller.
         assumed_ratio: Ratio of assumed to true friction and damping.
         encoder_step: Angle of an encoder count [rad], known to the controller; 0: exact readings.
-        gears: True friction that depends on speed and load; None: that of the servo table.
+        gears: True friction that depends on speed and load; None: friction of the servo table.
         gears_known: True if the controller knows the friction `gears`.
         encoder_flicker: Random error of the readings [counts].
         plant: Further options of `pliant.sim.Plant`, unknown to the controller.

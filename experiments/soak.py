@@ -52,7 +52,8 @@ CEILING = {
 class Audit:
     """Callback for every bus transaction of an emulated arm: checks the rules for a host.
 
-    The rules forbid, for example, torque on before a goal. The emulator calls it as `log.watch`.
+    The rules forbid, for example, torque on before a goal. The emulator calls this object as
+    `log.watch`.
 
     Args:
         bus: The emulator.
@@ -403,7 +404,7 @@ def judge(
     earlier = [(i, q, min(begin, end - MAX_AGE), end) for i, q, begin, end in chain.readings]
     distance_in_age = np.where(distance > ROUNDING, stale(earlier, truth, count), distance)
     shift = 3.0 * loop.period
-    # An arm that torque on still holds has the position of three cycles ago.
+    # Omit the readings during `enable`: an arm at rest has the same position as three cycles ago.
     shifted = [
         (i, q, begin + shift, end + shift) for i, q, begin, end in chain.readings if begin >= start
     ]

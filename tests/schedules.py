@@ -26,8 +26,8 @@ class Stuck(AssertionError):
 class Plan:
     """Actions by step number; in a step without an action the current task continues.
 
-    ("switch", k): the k-th other task that can run continues, or that can once the time for which
-    it waits has passed; ("signal", number); ("kill", None): SIGKILL; ("call", function).
+    ("switch", k): continue the k-th of the other tasks that can run now or after a timed wait;
+    ("signal", number); ("kill", None): SIGKILL; ("call", function).
     """
 
     def __init__(self, actions=()):

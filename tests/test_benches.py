@@ -105,7 +105,7 @@ SHORT_RUNS: dict[str, tuple[list[str], dict[str, object]]] = {
     "lightness": ([], {"STARTS": 1}),
     "tail": (["--steps=2000", "--turns=1"], {}),
 }
-#: Programs that other tests run, `ros` apart, whose parts `tests/ros` runs.
+#: Programs that other tests run; of `ros`, the parts are run by `tests/ros`.
 RUN_ELSEWHERE = {"counts", "latency", "peers", "ros", "tick"}
 
 

@@ -63,7 +63,7 @@ class Square:
 
 
 class ListOnly(ThreadingBackend):
-    """A joblib backend without generators as results, like that of Ray."""
+    """A joblib backend that, like Ray's, cannot return its results as a generator."""
 
     supports_return_generator = False
 

@@ -1,4 +1,4 @@
-"""The glossary holds every public word, and only existing words."""
+"""The glossary contains every public word, and only existing words."""
 
 from __future__ import annotations
 

@@ -124,7 +124,7 @@ def estimated_force(trace: Trace) -> Array:
 
 
 def chapter(numbers: Numbers) -> Chapter:
-    """Return the chapter with the paper's statements about doors and those of our study."""
+    """Return the chapter with statements of the paper and of our study about doors."""
     opening, both = numbers["opening"], numbers["opening_and_closing"]
     rigid = opening["door"]["rigid"]
     soft, hard = rigid["cap"], rigid["stiff"]
@@ -180,7 +180,7 @@ NAMES = {
 }
 #: Opening below which a door counts as stuck [deg].
 STUCK = 35.0
-#: Allowed difference of the angle at a detected end of the motion from that of the true end [deg].
+#: Allowed difference between the opening at a detected end of the motion and at the true end [deg].
 END_TOLERANCE = 1.0
 
 
@@ -304,8 +304,8 @@ def _paper_law(opening: Numbers) -> tuple[Statement, ...]:
                     else ()
                 ),
             ),
-            because="with a rigid grip the inverse of all six rows insists on moving in x without "
-            "moving in y and yaw, and the servos hold on to that between two ticks. A real hand, "
+            because="with a rigid grip the inverse of all six rows requests a motion in x without "
+            "motion in y and yaw, and the servos enforce it between two ticks. A real hand, "
             "like the one at RoboCup, lets the handle turn.",
         ),
     )
@@ -375,7 +375,7 @@ def _stiff_ends(both: Numbers) -> tuple[Statement, ...]:
     return (
         band(
             claim="All stiff and rigidly gripped, the arm takes its own resistance for the end.",
-            outcome=f"It believes the door open at {text}.",
+            outcome=f"It takes the door for open at {text}.",
             checks=(at_most("angle", first, 20.0, "deg"),),
         ),
     )

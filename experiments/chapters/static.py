@@ -335,7 +335,7 @@ def _why_not_slowly(axis: str, eta0: Numbers, eta09: Numbers) -> str:
     reasons = []
     if worst(eta09, "left") > RETURN_TOLERANCE[axis == "yaw"]:
         reasons.append(
-            "gravity, of which this law knows nothing, keeps it "
+            "gravity, which this law does not model, keeps it "
             f"{amount(axis)(worst(eta09, 'left'))} off at η = 0.9"
         )
     if max(worst(eta0, "return_speed"), worst(eta09, "return_speed")) > SLOW[axis]:

@@ -126,7 +126,7 @@ def test_an_exception_lowers_the_arm_and_is_raised_again(make):
     assert not arm.enabled
     plant = arm.drive.plant
     assert plant.tool[2, 3] < -0.6
-    # A joint that friction stopped before its rest position may still swing there.
+    # A joint that friction stopped before its rest position may still swing toward it.
     assert np.linalg.norm(plant.ground_truth.frame("tool").twist()[:3]) < 0.03
     for _ in range(100):
         plant.advance()
@@ -249,7 +249,7 @@ def test_a_joint_far_outside_its_limits_gets_no_torque(make, grasp, direction, i
     assert arm.drive.read().position[3] != pytest.approx(
         arm.drive.plant.q[3], abs=abs(direction) / 2
     )
-    if is_accepted:  # a joint on its stop
+    if is_accepted:  # the joint rests on its stop
         arm.enable()
         assert arm.read().q[3] == (high if direction > 0.0 else low) + direction
         arm.disable_torque()
@@ -540,9 +540,9 @@ def test_an_arm_is_resumed_with_the_commands_in_its_registers(io):
     drive = io.drive
     drive.goals, drive.limits = np.linspace(0.2, 0.7, 6), np.linspace(1.0, 1.5, 6)
     drive.silent, drive.enabled = {1}, np.array([True, True, False, True, True, True])
-    drive.goals[2] = drive.limits[2] = np.nan  # its torque is off
+    drive.goals[2] = drive.limits[2] = np.nan  # registers of a joint without torque
     assert io.resume(100.0)
-    # All answer within a few reads, or one is given up.
+    # `resume` reads until all joints answer, but at most `RESUME_READS` times more.
     assert drive.reads == RESUME_READS + 1
     assert drive.time == pytest.approx(100.0 + 0.01 * RESUME_READS)
     assert io.unknown_joints() == ["shoulder_lift"]
@@ -552,7 +552,7 @@ def test_an_arm_is_resumed_with_the_commands_in_its_registers(io):
     assert not io.resume_silent()
     drive.silent = set()
     io.sample()
-    drive.goals[0] = 9.0  # of a joint that was known
+    drive.goals[0] = 9.0  # must not replace the goal of a joint that had answered
     assert io.resume_silent()
     assert not io.unknown_joints()
     assert (io.goal[:2], io.limit[:2]) == (pytest.approx([0.2, 0.3]), pytest.approx([1.0, 1.1]))
@@ -569,7 +569,7 @@ class Watching:
 
 @pytest.fixture
 def quick(monkeypatch, io):
-    """Return an arm whose torque comes on, and whose descent ends, at once; record its messages."""
+    """Return an arm whose torque-on and descent take no time; record its messages."""
     io.drive.enabled[:] = False
     arm = Arm(io.model, io.drive, watchdog=0.3, rest_q=np.zeros(5), comm_timeout=0.7)
     arm.texts, arm.descents, arm.is_down, arm.error = [], [], True, None
@@ -579,8 +579,8 @@ def quick(monkeypatch, io):
         arm._supervisor.heartbeat[0] = 0.0
         other = Watching(Supervisor(lambda: None))
         on_tick(SimpleNamespace(phase="down"))
-        assert arm._supervisor.heartbeat[0] > 0.0  # seen by the guardian
-        assert other._supervisor.heartbeat[0] > 0.0  # seen by the guardian of another arm
+        assert arm._supervisor.heartbeat[0] > 0.0  # read by the guardian
+        assert other._supervisor.heartbeat[0] > 0.0  # read by the guardian of another arm
         assert arm._supervisor.heartbeat[1] == 0.7
         if arm.error is not None:
             raise arm.error
@@ -687,7 +687,7 @@ def test_a_supply_that_sags_at_torque_on_is_not_taken_for_soft_servos(
     assert level == logging.WARNING
     quick.texts.clear()
     monkeypatch.setattr(pliant.arm.arm, "transfer_weight", lambda *_: np.zeros(5))
-    quick.enable()  # what was read before torque on does not count
+    quick.enable()  # voltages that were read before torque on do not count
     quick.disable_torque()
     assert [text for text, _ in quick.texts] == ["elbow: too soft"]
 
@@ -801,7 +801,7 @@ def test_an_arm_without_torque_is_not_resumed(io, enabled, has_torque):
 
 @pytest.mark.parametrize("access", ["read", "write"])
 def test_a_watchdog_is_armed_again_after_half_its_time(io, access):
-    """Time between two accesses [s], and the calls of the second one."""
+    """The table has the time between two accesses [s], and the drive calls of the second one."""
     io.orders = {"gripper": (0.0, 0.1)}
     io.read()
 
@@ -897,7 +897,7 @@ def test_joints_that_may_not_follow_are_silent_alone_hot_or_faulty(io):
     io.read()
     assert io.unfit_joints(100.3) == ["shoulder_lift"]
     assert io.unfit_joints(100.1) == []
-    io.drive.silent = set(range(6))  # the line: the others do not move without them
+    io.drive.silent = set(range(6))  # a dead line: no single joint is at fault
     assert io.unfit_joints(200.0) == []
     io._store_supply(3, None, 68.0)
     for name in ("elbow_flex", "gripper"):
@@ -921,7 +921,7 @@ def test_the_joint_that_lacks_most_torque_is_warned_of_once():
     servos = SimpleNamespace(friction=[0.1, 0.1, 2.0])
     low = LowTorqueWarning(SimpleNamespace(joint_names=["a", "b", "c"]), servos)
     limit, gravity = np.array([0.4, 0.1, 0.4]), np.array([-1.0, 1.0, 1.5])
-    for begin in (0.0, 1.0, 2.0):  # each time too short
+    for begin in (0.0, 1.0, 2.0):  # each time the limit is too low for less than 0.2 s
         low.check(limit, gravity, begin)
         low.check(limit, gravity, begin + 0.19)
         low.reset() if begin == 0.0 else low.check(np.ones(3), gravity, begin + 0.3)

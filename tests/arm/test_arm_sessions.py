@@ -1,7 +1,7 @@
 """Calls of an arm to its drive in whole sessions, compared with recorded calls.
 
-`PYTHONPATH=tests python tests/arm/test_arm_sessions.py` records again, after a change that was
-meant.
+`PYTHONPATH=tests python tests/arm/test_arm_sessions.py` records the calls again, after an intended
+change.
 """
 
 import json
@@ -52,7 +52,7 @@ class Statics:
         calls: Verbs, with the numbers that were sent.
         silent: Mask (N,) of joints that do not answer.
         errors: Errors of the next readings; None: no error.
-        heartbeat: Heartbeat of the arm, of which `calls` gets the timeouts.
+        heartbeat: Heartbeat of the arm, whose timeouts are added to `calls`.
         status: Results of the next status readings.
     """
 

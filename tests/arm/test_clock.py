@@ -27,7 +27,7 @@ def simulated():
 @contextmanager
 def over_bytes():
     with arm_over_bytes("sts", START, rate=50.0) as (bus, arm):
-        bus.advance(37.0)  # start with another time on the servos' clock
+        bus.advance(37.0)  # so that the servos' clock does not start at 0
         with arm:
             yield arm
             arm.leave_enabled()
@@ -43,7 +43,7 @@ def test_time_begins_with_the_loop(backend, tmp_path):
         watch = ReactionMonitor(
             controller, [Reaction(Force("z", above=90.0), Call(reaction_times.append))]
         )
-        arm.clock.wait_until(arm.clock.now() + 0.7)  # the program does something else first
+        arm.clock.wait_until(arm.clock.now() + 0.7)  # so that the loop does not start at time 0
         ticks, times, drive_times = [], [], []
         target = None
         recorder = Recorder(tmp_path / "run.mcap")

@@ -40,7 +40,7 @@ FORCES = {
         45: 19.0, 47: 18.0,
     },
 }  # fmt: skip
-#: Speed of the tool while servos that are too weak are lowered [m/s].
+#: Speed of the tool while arms with servos that are too weak are lowered [m/s].
 SPEEDS = {
     "so101": {39: 0.28},
     "koch": {35: 0.507, 36: 0.309, 43: 0.277, 44: 0.212, 46: 0.854},
@@ -50,7 +50,7 @@ STARTS = {"arm7": {0: 0.103, 13: 0.106}, "vx300s": {1: 0.126, 20: 0.113, 40: 0.1
 
 
 def check(job, run, *, force=0.0, speed=0.0, start=0.0):
-    """Check the bounds of a descent; `force`, `speed` and `start` are values that it may reach."""
+    """Check the bounds of a descent; `force`, `speed` and `start` replace bounds if larger."""
     # The drive must not pass the true stiffness to the arm, which assumes another one.
     assert run.apart == pytest.approx(max(max(s, 1.0 / s) for s in job.truth.stiffness))
     assert run.moved < 0.020
@@ -63,7 +63,7 @@ def check(job, run, *, force=0.0, speed=0.0, start=0.0):
     if job.over_table:
         # In run 1 the resting weight of `arm7` and its load is 16.0 N, above the bound of 15 N.
         assert run.force < max(FORCE.get(job.arm, LARGE), run.resting, SLACK * force)
-    # The tool of run 19 of `vx300s` ends 4 mm higher: its elbow comes down instead.
+    # In run 19 of `vx300s` the elbow comes down, and the tool ends 4 mm higher than it started.
     assert run.height > (-0.005 if (job.arm, job.number) == ("vx300s", 19) else 0.0)
 
 
@@ -87,14 +87,15 @@ def test_neither_way_is_a_rise_a_lunge_or_a_drop(arm, number):
 
 @pytest.mark.parametrize(("arm", "number"), [("so101", -2), ("koch", -4)])
 def test_down_from_the_ready_pose_within_fifteen_seconds(arm, number):
-    # Servos of half or 2.5 times the assumed stiffness, coarse counts, 1.7 times the friction.
+    # The servos have half or 2.5 times the assumed stiffness, coarse encoder counts, and 1.7 times
+    # the assumed friction.
     job = job_of(arm, number, False)
     run = job.run()
     check(job, run)
     assert run.seconds < 15.0  # measured 14.5 and 11.6
 
 
-# In brackets: height above the straight path, and distance from the rest pose, where the joints do
+# In brackets: height above the straight path, and distance from the rest pose, if the joints did
 # not wait for each other.
 @pytest.mark.parametrize(
     ("arm", "number", "missed"),
@@ -109,7 +110,7 @@ def test_joints_with_weak_servos_do_not_make_the_others_lift_the_tool_on_the_way
 ):
     (job,) = (job for job in descent.to_rest(arm, max(number + 1, -number)) if job.number == number)
     run = job.run()
-    # Joints have half and 2.5 times the assumed stiffness by turns.
+    # The joints have half and 2.5 times the assumed stiffness, alternately.
     assert run.apart == pytest.approx(2.5)
     assert run.beyond < 0.015
     assert run.speed < 0.20
@@ -136,7 +137,7 @@ def test_the_way_to_the_rest_pose_from_fifty_poses(arm):
 
 
 def test_an_arm_that_swings_is_taken_over_without_being_swung_further():
-    # One encoder count is more torque than the friction, so the tool swings at 0.08 m/s.
+    # k_p times one encoder count exceeds the friction torque, so the tool swings at 0.08 m/s.
     job = job_of("arm7", 11, False)
     run = job.run()
     assert run.apart > 2.0
@@ -144,8 +145,9 @@ def test_an_arm_that_swings_is_taken_over_without_being_swung_further():
     assert run.moved < 0.020
 
 
-#: Runs of `descent.in_hand`: arm, number, True with emulated servos. In brackets: speed and
-#: displacement of the tool without the balance, with constant limits for the model's weight.
+#: Runs of `descent.in_hand`: arm, number, True with emulated servos. The comments have the unknown
+#: load and, in brackets, speed and displacement of the tool if the load is not balanced, but the
+#: torque limits stay at the model's weight.
 IN_HAND = [
     ("so101", 2, False),  # unknown load of 0.33 kg (0.91 m/s, 660 mm)
     ("arm7", 16, False),  # 0.38 kg, no delay (0.14 m/s, 31 mm)
@@ -180,7 +182,7 @@ def test_an_arm_let_go_at_torque_on_does_not_drop(arm, number, on_bytes):
 
 @pytest.mark.parametrize(
     ("arm", "number", "when", "bound"),
-    # Without the torque that is sent meanwhile, 7.1 and 0.77 rad/s.
+    # If the estimate ignored the torque sent during the silence, the errors would be 7.1 and 0.77.
     [("koch", 2, 0.2, 1.5), ("so101", 8, 0.15, 0.4)],
 )
 def test_the_estimate_after_a_silence_is_that_of_an_arm_that_was_held(
@@ -218,7 +220,8 @@ def test_the_estimate_after_a_silence_is_that_of_an_arm_that_was_held(
 
 @pytest.mark.parametrize("arm", ["so101", "koch"])
 def test_an_arm_let_go_on_a_slow_line_does_not_sink(arm):
-    # Each reply takes 4 ms more: without a lead in the first goals, 13 and 11 mm at 0.13 m/s.
+    # Each reply takes 4 ms longer. Without leads in the first goals, the tool of the SO-101 would
+    # sink by 13 mm and that of the Koch by 11 mm, at up to 0.13 m/s.
     (job,) = (
         job for job in descent.in_hand(arm, 1, on_bytes=True, usb_latency=0.004) if job.number == -1
     )
@@ -301,16 +304,16 @@ def test_fifty_poses_of_every_arm(arm, number, over):
 
 @pytest.mark.parametrize(("number", "cycle"), [(3, 0.2), (-4, 0.1)])
 def test_a_slow_bus_lowers_an_arm_as_softly(number, cycle):
-    # If goals moved for all of a tick and limits fell for all of it, the tool would fall at 0.15
-    # m/s after torque off (run 3), and stiff servos would jump at 0.37 m/s (run -4).
+    # If goals moved and limits fell for the whole of a long tick, the tool would fall at 0.15 m/s
+    # after torque off (run 3), and stiff servos would jump at 0.37 m/s (run -4).
     job = replace(job_of("arm7", number, False), cycle=cycle)
     check(job, job.run())
 
 
 @pytest.mark.parametrize("arm", ["so101", "koch"])
 def test_torque_on_survives_a_computer_that_stalls(arm, monkeypatch):
-    # All assumptions are true; only the periods are irregular. Poles for the mean period, without
-    # bounds on the torque, shook these arms at 0.8 to 3.1 m/s.
+    # All assumptions are true; only the periods are irregular. With poles for the mean period and
+    # without bounds on the torque, these arms shook at 0.8 to 3.1 m/s.
     emulated, chance = descent.make_emulator, random.Random(1)
 
     def stalling(*args, **kwargs):

@@ -71,7 +71,7 @@ def begin(program, stderr=PIPE):
     try:
         yield process
     finally:
-        process.kill()  # if the program has not ended by itself, which some of these tests check
+        process.kill()  # without effect if the program has already ended by itself
         process.wait()
 
 
@@ -577,7 +577,7 @@ class Descent:
     """A descent of an arm whose joints never move; every tick takes 10 ms, or a `stall` once [s].
 
     Attributes:
-        made: Arguments of each `Lowering` object.
+        made: Arguments of each `Lowering` object that was created.
         sent: Time and speed limit of each order.
         answers: Number of `sample` calls after which a silent joint has answered, None: never.
         unfit: Number of `sample` calls after which a joint may not follow its goals, None: never.
@@ -648,9 +648,9 @@ def test_a_descent_sends_its_orders_at_its_rate(monkeypatch):
     run = Descent(monkeypatch, stall=0.055)
     ticks = []
     assert descend(run, None, 100.0, lambda: False, on_tick=ticks.append)
-    assert run.calls == [0.0]  # watchdogs off first
+    assert run.calls == [0.0]  # switch the watchdogs off first
     assert len(ticks) == 10
-    # Ticks that a stall delayed are not caught up with.
+    # After a stall, the loop does not make up for all ticks that it missed.
     assert np.diff([time for time, _ in run.sent]) == pytest.approx([0.065, 0.0, 0.0, *[0.01] * 6])
     assert [speed for _, speed in run.sent] == [None] * 10
 
@@ -719,20 +719,20 @@ def test_a_descent_goes_on_from_present_goals_once_a_silent_joint_answers(monkey
 @pytest.mark.parametrize(
     ("lead", "present", "held", "limit"),
     [
-        # Leads with which a servo of the true stiffness, or of half of it, carries the weight.
+        # Leads with which a servo of 1, 1 / 1.9 or 2 times the assumed stiffness carries the arm.
         (1.0, 3.0, 1.0, None),
         (1.9, 3.0, 1.9, None),
         (0.5, 3.0, 0.5, None),
         (9.0, 3.0, "highest", None),
         (-9.0, 3.0, "lowest", None),
-        # A joint that its servo carries at its torque limit gets no higher limit.
+        # If a servo holds its joint at the torque limit, this limit is not raised.
         (1.5, 1.1, 1.5, 1.1),
         (1.5, 0.9, 1.5, None),
         (1.05, 1.1, 1.05, None),
     ],
 )
 def test_an_arm_is_held_by_leads_that_can_carry_it(lead, present, held, limit):
-    """Lead and torque limits are multiples of the ones that carry the weight."""
+    """Leads and limits in the table are multiples of the lead and torque that carry the weight."""
     arm, sent, watchdogs = pliant.robots.load("so101"), [], []
     servos = pliant.connect("so101", backend="sim", handle_signals=False).servos
     weight = np.array([0.5, -0.8, 0.6, 0.3, -0.4])

@@ -66,7 +66,7 @@ def test_a_child_that_ends_sends_nothing_and_the_arm_goes_on(action, code):
     result = run(action)
     lines = result.stdout.splitlines()
     assert result.returncode == 0, result.stderr
-    if code != -signal.SIGTERM:  # which ends the child before it can print
+    if code != -signal.SIGTERM:  # SIGTERM ends the child before it can print
         assert lines.pop(0) == "child 0", result.stderr
     assert lines[:2] == [f"{code} True", "False False"], result.stderr
     assert lines[2].startswith("parent ")
@@ -90,7 +90,7 @@ sys.exit(0)
 
 @pytest.mark.parametrize("fork", ["os.fork()", "ctypes.CDLL(None).fork()"])
 def test_a_fork_of_the_process_that_imported_the_package_is_noticed(fork):
-    # Not `programs.run`, whose programs are forks themselves.
+    # `programs.run` is unsuitable: its programs are forks themselves.
     program = f"""
 import ctypes, os
 import pliant

@@ -54,7 +54,7 @@ def test_the_arm_is_lowered_within_its_bounds(phase, ending, seed):
     if phase == "running":
         assert outcome["lowered"] > 0.02
     if ending in {"SIGHUP", "exhausted memory"}:
-        # Python may still lower the arm itself.
+        # With these endings, the program may lower its arm itself.
         return
     assert "was lowered: torque OFF" in outcome["messages"]
     reason = {"SIGSTOP": "was stopped for", "held lock": "was silent for"}
@@ -341,7 +341,7 @@ def test_the_guardian_of_a_lost_arm_does_not_kill_a_program_that_lowers_another(
         """)
         assert program.stdout.readline() == "holds\n"
         bus.call("pull")
-        assert program.wait() == 1  # by the error of the lost bus
+        assert program.wait() == 1  # the lost bus raised an error
         assert not other_bus.call("recorder.has_torque")
         bus.call("put_back")
         _, stderr = program.communicate()
@@ -418,8 +418,8 @@ def test_a_tick_makes_no_more_calls_and_requests_with_a_guardian():
                 requests[has_guardian].append(arm.counters["transactions"] - before)
             arm.disable_torque()
             arm.close()
-    # Compare minimum and first quartile: cycles make different requests, and have retries on a
-    # busy machine.
+    # Compare minimum and first quartile: requests differ from cycle to cycle, and a busy machine
+    # causes retries.
     for counts in (calls, requests):
         assert min(counts[True]) == min(counts[False])
         quartiles = {has_guardian: sorted(counts[has_guardian])[15] for has_guardian in counts}
@@ -479,7 +479,7 @@ def test_registers_and_zeros_are_those_of_the_ended_program_on_two_ports(monkeyp
 
 @pytest.mark.parametrize(("robot", "requests"), [("so101", 8), ("koch", 21)])
 def test_the_first_goal_of_a_guardian_needs_few_requests(robot, requests):
-    """Until then, servos hold what the program sent last."""
+    """Until the first goal, the servos hold the last command of the program."""
     with make_emulator(guardian.configuration(robot)) as emulated:
         config = guardian.configuration(robot, backend="bus", port=emulated.port)
         program = pliant.connect(config, guardian=False, handle_signals=False)
@@ -551,7 +551,7 @@ def test_only_a_program_under_supervision_counts_as_silent(monkeypatch):
     assert after == pytest.approx(0.6 + _guardian_process.MARGIN, abs=0.15)
     beats.heartbeat[0] += 1.0
     assert beats.checks(1.0) is None
-    # A silence that a long limit allowed does not count when the limit becomes shorter.
+    # When the timeout becomes shorter, the silence starts to count again from zero.
     beats.heartbeat[:] = [2.0, 10.0]
     assert beats.checks(8.0) is None
     beats.heartbeat[1] = 0.5
@@ -562,7 +562,7 @@ def test_a_stopped_program_has_the_time_of_its_bus(monkeypatch):
     beats = Beats(monkeypatch)
     beats.is_stopped = True
     assert beats.checks(1.0) is None
-    beats.is_stopped = False  # continued, by a debugger or `fg`
+    beats.is_stopped = False  # a debugger or `fg` continues the program
     assert beats.checks(1.0) is None
     beats.is_stopped = True
     problem, after = beats.checks(60.0)
@@ -585,7 +585,7 @@ def test_a_message_of_the_program_ends_its_silence_and_its_stop(monkeypatch):
         for _ in range(3):
             beats.program.restart()
             assert beats.checks(1.4) is None
-        # A restart counts time from now on, and the heartbeat at that time is not a new one.
+        # After a restart, time counts from then on, and the heartbeat of that moment is not new.
         beats.heartbeat[0] += 1.0
         beats.now += 100.0
         beats.program.restart()
@@ -674,7 +674,7 @@ def test_the_guardian_lowers_the_arm_that_has_torque(
     assert program.answers == answers
     assert ("kill" in program.calls) == ("hangs" in events)
     assert program.calls.count("restart") == len([m for m in messages if m is None or m in names])
-    assert program.patience in {0.0, 0.7}  # that of the arm
+    assert program.patience in {0.0, 0.7}  # 0 before the first check, else the arm's timeout [s]
 
 
 class Taken:

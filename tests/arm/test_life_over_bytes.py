@@ -237,7 +237,7 @@ class Life(RuleBasedStateMachine):
                 self.is_left = True
 
     def excuse(self, error):
-        """Note that torque may stay on: on a line that is dead, or where the error says so."""
+        """Note that torque may stay on: the line is dead, a servo tripped, or the error says so."""
         is_told = "torque may still be on" in str(error) or "torque stays on" in str(error)
         if self.line.dead or is_told or self.has_tripped:
             self.is_left = True
@@ -284,13 +284,13 @@ class Life(RuleBasedStateMachine):
 
     @rule(start=st.sampled_from([0.0, 0.07, 0.4]), seconds=st.sampled_from([0.03, 0.3, 0.7]))
     def silence(self, start, seconds):
-        """Short-circuit the line in `start` [s], for `seconds`."""
+        """Short-circuit the line after `start` [s], for `seconds`."""
         self.clock.after(start, lambda: setattr(self.line, "dead", True))
         self.clock.after(start + seconds, lambda: setattr(self.line, "dead", False))
 
     @rule(start=st.sampled_from([0.0, 0.05, 0.5]), number=st.sampled_from(NUMBERS))
     def signal(self, start, number):
-        """Send a signal to the program in `start` [s], whatever it does at that time."""
+        """Send a signal to the program after `start` [s], whatever it does at that time."""
         self.clock.after(start, lambda: self.raise_signal(number))
 
     @rule(

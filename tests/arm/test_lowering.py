@@ -71,8 +71,8 @@ def test_goes_to_a_rest_pose_first(make):
 def test_ten_poses_over_a_table(bring, ticks):
     runs = [bring(q, over_table=True, ticks=ticks) for q in postures(10)]
     assert max(run.speed for run in runs) < (0.2 if ticks else 0.18)
-    # The bound is 15 N, or the weight that finally rests on the table if that is larger. It is not
-    # met in pose 9: the arm slides along the table, which has no friction, and presses with 18 N.
+    # The bound is 15 N, or the weight that finally rests on the table if that is larger. Pose 9
+    # exceeds it: the arm slides along the table, which has no friction, and presses with 18 N.
     excess = [run.force - max(run.resting, 15.0) for run in runs]
     assert max(excess[:9]) < 2.0
     assert excess[9] < 4.0
@@ -131,7 +131,7 @@ def test_a_blind_descent_is_no_faster(grasp, bring):
     [("so101", 0.1), ("koch", 0.05), pytest.param("arm7", 0.1, marks=pytest.mark.full)],
 )
 def test_a_line_that_loses_most_readings_delays_the_end_of_a_descent_only(robot, answered):
-    # Each silence of 0.2 s restarted the fall of the torque limits, so the descent did not end.
+    # If each silence of 0.2 s restarted the fall of the torque limits, the descent would not end.
     (q,) = postures(1, robot=robot, load=0.05, seed=3)
     run = lower(q, robot=robot, over_table=True, answered=answered)
     assert run.seconds < 75.0
@@ -141,7 +141,7 @@ def test_a_line_that_loses_most_readings_delays_the_end_of_a_descent_only(robot,
 
 
 def test_an_arm_that_a_hand_moves_to_and_fro_is_not_released(model, grasp):
-    """Its positions repeat every 2 s, so they are the same after the 10 s of a stopped arm."""
+    """Its positions repeat every 2 s, so they equal those 10 s ago, as if the arm had stopped."""
 
     def reading(tick):
         q = grasp.copy()
@@ -200,7 +200,7 @@ def test_an_arm_that_stands_on_something_is_left_soon_though_its_encoders_flicke
     )
     assert lowering.phase == "done"
     assert len(orders) < 800
-    # At torque off, the friction of the gears holds what the servos still exert.
+    # At torque off, the servos exert less than the friction torque of the gears.
     left = np.asarray(model.servos.kp) * (orders[-1][1] - q - count / 2)
     assert np.all(np.abs(left) < np.asarray(model.servos.friction))
 
@@ -284,7 +284,7 @@ def test_a_lead_that_the_limit_does_not_allow_lifts_no_joint():
         drive.clock.wait_until(plant.time + 0.01)
         heights.append(plant.tool[2, 3])
         speeds.append(np.linalg.norm(plant.ground_truth.frame("tool").twist()[:3]))
-    # 0.064 m and 0.23 m/s where the limits rise at once to more than the weight.
+    # If the limits rose immediately above the weight, these values would be 0.064 m and 0.23 m/s.
     assert max(heights) - start < 0.015
     assert max(speeds) < 0.2
     assert heights[-1] < start - 0.05
@@ -292,8 +292,8 @@ def test_a_lead_that_the_limit_does_not_allow_lifts_no_joint():
 
 @pytest.mark.parametrize(
     ("robot", "q", "rest", "rise"),
-    # In brackets: rise with servos of 1 and 2.5 times the assumed stiffness where the joints with
-    # such leads stand still on the way to the rest pose, which the arm then does not reach.
+    # In brackets: rise of the tool with 1 and 2.5 times the assumed stiffness if joints with such
+    # leads stood still on the way to the rest pose; the arm would then not reach this pose.
     [
         ("so101", (0.0, -0.3, 0.3, 0.9, 0.0), (0.0, -1.74, 1.57, 0.85, 0.0), 0.005),  # (93, 96 mm)
         ("koch", (0.0, -0.8, 0.8, 0.6, 0.0), (0.0, -1.79, 1.6, 0.5, 0.0), 0.010),  # (116, 144 mm)
@@ -303,7 +303,7 @@ def test_a_lead_that_the_limit_does_not_allow_lifts_no_joint():
 def test_leads_that_the_limits_do_not_allow_shrink_before_the_way_to_the_rest_pose(
     robot, q, rest, rise, stiffness
 ):
-    """As after a program that was killed while torque came on."""
+    """Such leads remain if a program is killed while it switches torque on."""
     model = robots.load(robot)
     plant = Plant(model, kp_scale=stiffness)
     plant.reset(q)
@@ -336,13 +336,13 @@ def test_a_joint_that_creeps_gets_little_torque(model, grasp):
         q[2] -= creep[2]
         command = lowering.step(q, dt=0.02)
     rise = command.torque_limit[2] - limit[2]
-    # 6.5 N·m with limits that rise with time.
+    # If the limit rose with time, `rise` would be 6.5 N·m.
     assert 0.0 < rise < 2.0 * model.servos.kp[2] * 0.0075
 
 
 def test_goals_of_a_blind_descent_are_caught_up_with_no_faster_than_it_goes(model, grasp):
     lowering = Lowering(model, model.servos, grasp)
-    for _ in range(10):  # few ticks: an arm that stands still for longer counts as at rest
+    for _ in range(10):  # an arm that stands still for more ticks counts as at rest
         command = lowering.step(grasp, dt=0.01)
         before = command.goal
         assert np.all(np.isinf(command.speed_limit))

@@ -148,7 +148,8 @@ def hold(arm, rate, pause=0.0):
 
 @pytest.mark.parametrize("family", FAMILIES)
 def test_a_slow_adapter_makes_the_loop_slow_but_no_command_too_old(family):
-    # With one request per servo after the silence of `enable`, every command was too old.
+    # If each servo had a request of its own after the silence of `enable`, every command would be
+    # too old.
     with arm_over_bytes(family, LOW, timing=SLOW_ADAPTER, watchdog=0.2) as (bus, arm):
         arm.enable()
         loop = hold(arm, rate=100.0)
@@ -179,7 +180,8 @@ def test_commands_that_come_too_late_are_named_as_the_cause():
 
 
 def test_a_silent_elbow_does_not_lift_the_arm_on_its_way_down():
-    # The straight line to this rest pose needs the elbow: without it, the tool rose by 17 cm.
+    # On the straight way to this rest pose the elbow must move; if it stood still, the other joints
+    # would lift the tool by 17 cm.
     with arm_over_bytes("sts", HIGH, rest_q=[0.0, -1.74, 1.57, 0.85, 0.0]) as (bus, arm):
         arm.enable()
         start, heights, step = bus.plant.tool[2, 3], [], bus.world.physics.step
@@ -205,7 +207,7 @@ def test_lowered_after_the_program_stalled(family, q):
     speeds = []
     with arm_over_bytes(family, q, watchdog=0.2) as (bus, arm):
         arm.enable()
-        arm.clock.wait_until(arm.clock.now() + 1.0)  # longer than any watchdog
+        arm.clock.wait_until(arm.clock.now() + 1.0)  # longer than the time of any watchdog
         stalled = bus.time
         height = bus.plant.tool[2, 3]
         wait = arm.clock.wait_until

@@ -35,8 +35,8 @@ from pliant.arm import arm as arm_module
 from pliant.arm._messages import Message
 from pliant.drive import JointReadings
 
-# Python drops the exception of a signal that comes while it collects a generator such as that of a
-# loop: the signal is then without effect.
+# Python drops the exception that a signal handler raises while a generator, for example that of a
+# loop, is being deleted; the signal then has no effect.
 pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 
 #: Files in which every line is a step.
@@ -330,8 +330,8 @@ class World:
                 guardian=self._has_guardian,
             )
             drive.arm = lambda: self.arm
-            # `sys.exception()` may stay set after exceptions out of trace functions. That of a
-            # generator ends with it.
+            # `sys.exception()` may stay set after a trace function has raised. Run in a generator,
+            # which has an exception state of its own.
             next(self._generator(scheduler))
         finally:
             for number, handler in before.items():
@@ -364,7 +364,7 @@ class World:
         Descent.world = self
         set_attribute(_supervisor, "threading", scheduler.threading)
         set_attribute(_supervisor, "time", scheduler.time)
-        # A killed program would keep the lock of the real one for ever.
+        # A killed program would hold the lock of the module's own object forever.
         set_attribute(_supervisor, "_SHORT_SWITCH_INTERVAL", _supervisor.ShortSwitchInterval())
         set_attribute(_signals, "time", scheduler.time)
         set_attribute(_shutdown, "time", scheduler.time)

@@ -151,8 +151,8 @@ class Presses:
         ((10.0,), True, False, False),
         ((10.0, 10.5, 11.0), True, False, False),  # a key that is held down
         ((10.0, 10.8), True, True, False),
-        ((10.0, 10.8), False, False, False),  # the user has not been told how to abort
-        ((10.0, 10.8, 11.7), True, True, False),  # the bus may still answer
+        ((10.0, 10.8), False, False, False),  # the message with the way to abort is not yet written
+        ((10.0, 10.8, 11.7), True, True, False),  # too early: the bus may still answer
         ((10.0, 10.8, 11.9), True, True, True),
         ((10.0, 10.8, 11.3, 11.9), True, True, False),
         ((10.0, 10.8, 11.3, 12.1), True, True, True),
@@ -184,7 +184,7 @@ def test_a_signal_other_than_ctrl_c_stays_pending(monkeypatch):
 @pytest.mark.parametrize("cause", [KeyboardInterrupt, SystemExit])
 def test_a_descent_that_ctrl_c_caused_has_announced_the_next_one(monkeypatch, cause):
     presses, announcement = Presses(monkeypatch, leaving=False), SimpleNamespace(is_written=True)
-    monkeypatch.setattr(signal, "signal", lambda *_: None)  # the handler of the tests stays
+    monkeypatch.setattr(signal, "signal", lambda *_: None)  # keeps the handler of pytest
     try:
         raise cause
     except cause:
@@ -202,7 +202,7 @@ def test_a_descent_that_ctrl_c_caused_has_announced_the_next_one(monkeypatch, ca
         (None, KeyboardInterrupt(), False, None),
         (signal.SIGINT, None, False, "interrupt"),
         (signal.SIGTERM, None, False, 128 + signal.SIGTERM),
-        # The stronger signal ends the program.
+        # SIGTERM prevails over SIGINT, in both orders.
         (signal.SIGINT, SystemExit(128 + signal.SIGTERM), False, None),
         (signal.SIGTERM, KeyboardInterrupt(), False, 128 + signal.SIGTERM),
         (None, None, True, 128 + signal.SIGINT),
@@ -234,7 +234,7 @@ def test_a_pending_signal_is_raised_after_the_last_descent(
         code = getattr(caught.value, "code", "interrupt")
         assert code == expected
     assert (registry.pending, arm.stopped) == (None, False)
-    # In another thread, the process gets the signal instead.
+    # In another thread, `deliver` sends the signal to the process instead of raising.
     number = expected - 128 if isinstance(expected, int) else expected and signal.SIGINT
     sent = []
     monkeypatch.setattr(_signals.os, "kill", lambda *arguments: sent.append(arguments))
@@ -263,7 +263,7 @@ def test_signals_without_a_descent_are_raised_once(monkeypatch):
         ("handler", True, False),
         (signal.SIG_IGN, False, False),
         (signal.SIG_DFL, False, True),
-        (None, False, True),  # set from C
+        (None, False, True),  # a handler that C code has set
     ],
 )
 def test_a_signal_without_an_arm_goes_to_its_former_handler(
@@ -293,5 +293,5 @@ def test_arms_and_signals_of_the_parent_are_not_those_of_a_forked_child(monkeypa
     assert registry.arms == [child]
     assert registry.pending is None
     assert set(handlers.values()) == {registry._catch}
-    registry.remove(presses.arms[0])  # of the parent
+    registry.remove(presses.arms[0])  # an arm of the parent process
     assert registry.arms == [child]

@@ -82,7 +82,7 @@ def test_an_access_that_takes_longer_than_the_timeout_is_no_stall(ending):
             if ending == "dismissal":
                 supervisor.end_supervision()
         check()
-        # The thread has had the lock since then.
+        # Let the thread acquire the lock, for which it waits.
         time.sleep(0.05)
         with supervisor:
             assert not calls
@@ -106,7 +106,7 @@ def test_two_arms_that_stall_at_once_restore_the_switch_interval():
             for supervisor, end in ((first, ends[0]), (second, ends[1])):
                 assert sys.getswitchinterval() <= 1e-4
                 end.set()
-                # The lock is free when the interval has been restored.
+                # The thread restores the interval before it releases the lock.
                 assert supervisor.lock.acquire(timeout=10.0)
                 supervisor.lock.release()
     assert max(intervals) <= 1e-4
@@ -201,7 +201,7 @@ def test_a_signal_while_enable_waits_for_a_descent_does_not_end_it():
         order.append("begins")
         waits.wait(10.0)
         time.sleep(0.05)
-        # As Ctrl-C in a terminal, in the main thread, which waits for the lock.
+        # The main thread, which waits for the lock, gets the signal, as with Ctrl-C in a terminal.
         os.kill(os.getpid(), signal.SIGINT)
         interrupted.wait(10.0)
         order.append("aborted" if supervisor.abort.is_set() else "ends")
@@ -224,7 +224,7 @@ def test_an_arm_in_real_time_comes_down_without_its_program(busy):
     arm = bare_arm("koch", real_time=True, comm_timeout=0.1, dt=0.005, handle_signals=False)
     plant, speeds = arm.drive.plant, []
     arm.open()
-    plant.reset(np.array([0.0, 1.5, 0.0, 0.0, 0.0]))  # 3 cm of descent
+    plant.reset(np.array([0.0, 1.5, 0.0, 0.0, 0.0]))  # a descent of 3 cm
     height = plant.tool[2, 3]
 
     def run():

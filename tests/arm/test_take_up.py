@@ -84,7 +84,7 @@ def test_a_short_silence_only_delays():
 
 
 def test_joints_that_have_torque_keep_goals_that_their_limits_can_hold():
-    """The goals of joints 0 to 2 are known, that of joint 3 is not; joint 4 has no torque."""
+    """The goals of joints 0 to 2 are known, the goal of joint 3 is not; joint 4 has no torque."""
     arm = bare_arm("so101")
     kp, usable = np.asarray(arm.servos.kp), np.asarray(arm.servos.max_torque)
     weight, on = np.array([0.1, -0.2, 0.3, 3.0, 0.4]), np.array([True, True, True, True, False])
@@ -134,12 +134,12 @@ def test_joints_of_unknown_stiffness_start_with_less_torque_and_a_longer_lead(is
 
 def test_a_full_lead_has_a_margin_and_a_bound():
     torque, kp = np.array([1.0, -1.0, 0.0, 9.0, -9.0]), np.array([10.0, 20.0, 10.0, 10.0, 10.0])
-    # Twice the torque over the assumed stiffness, and 0.03 rad for the motion; at most 0.8 rad.
+    # The lead is twice torque / assumed stiffness, plus 0.03 rad for the motion, at most 0.8 rad.
     assert full_lead(torque, kp) == pytest.approx([0.23, -0.13, 0.0, 0.8, -0.8])
 
 
 class Reader:
-    """Arm of two joints: each reading takes the next of the `durations` [s], the last one on.
+    """Arm of two joints: each reading takes the next of the `durations` [s]; the last one repeats.
 
     The second joint answers from reading number `answers` on.
     """
@@ -265,7 +265,7 @@ def test_a_stiffness_is_judged_by_leads_that_are_large_enough():
         io = SimpleNamespace(servos=arm.servos, model=arm.model, gravity=lambda: weights)
         return stiffness_mismatch(io, leads) is not None
 
-    # Ratio of stiffness; friction; encoder step; share of the expected lead.
+    # Rows about the ratio of stiffness (two), friction, encoder step, share of the expected lead.
     for accepted, warned in (
         ((1.0, 1.0 / kp / 1.45), (1.0, 1.0 / kp / 1.55)),
         ((1.0, 1.45 / kp), (1.0, 1.55 / kp)),
@@ -278,7 +278,7 @@ def test_a_stiffness_is_judged_by_leads_that_are_large_enough():
 
 
 def test_an_arm_that_lies_on_its_table_is_not_called_stiff(monkeypatch):
-    """After each ending the arm lies on the table, which carries part of its weight."""
+    """After a descent the arm lies on the table, which carries part of its weight."""
     texts, post = [], MESSAGES.post
 
     def record(text, *arguments, **options):
@@ -312,7 +312,7 @@ def test_only_a_lead_that_is_too_large_tells_about_the_servos_of_a_supported_arm
 
 @pytest.mark.parametrize("dt", [0.004, 0.02])
 def test_errors_of_the_disturbance_observer_have_three_equal_poles(dt):
-    """The errors of displacement, speed and disturbance decay like those of the critical filter."""
+    """The errors of displacement, speed and disturbance decay without oscillation."""
     pole, columns = 30.0, []
     for error in np.eye(3):
         observer = _DisturbanceObserver(0.0, np.zeros(1))
@@ -325,7 +325,7 @@ def test_errors_of_the_disturbance_observer_have_three_equal_poles(dt):
 
 
 def test_the_disturbance_observer_finds_a_load_from_rest_at_once():
-    """Readings without noise of a joint that falls from rest, with a brake after 20 ms."""
+    """The readings without noise are of a joint that falls from rest, with a brake after 20 ms."""
     d, u = np.array([-4.0]), np.array([3.0])
     observer = _DisturbanceObserver(0.0, np.zeros(1))
     observer.send(0.02, u)
@@ -366,7 +366,7 @@ def test_the_balance_pushes_no_harder_than_for_the_largest_load():
         [model.forward_kinematics(q + side * step)[2, 3] for side in (1.0, -1.0)]
         for step in h * np.eye(5)
     ]
-    load = 0.6 * 9.81 * np.subtract(*np.transpose(heights)) / (2.0 * h)  # of 0.6 kg [N·m]
+    load = 0.6 * 9.81 * np.subtract(*np.transpose(heights)) / (2.0 * h)  # torque for 0.6 kg [N·m]
     beyond = 0.6 * np.abs(weight) + 2.0 * friction
     low, high = transfer._bounds
     usable = np.asarray(arm.servos.max_torque)
@@ -401,7 +401,7 @@ def test_an_arm_moves_if_its_tool_sinks_or_rises_by_more_than_encoder_steps():
 
 @pytest.mark.parametrize("ratios", [(-0.094, 1.0), (-0.094, 0.42), (1.0, 0.42)])
 def test_a_joint_that_pushes_opposite_to_its_weight_is_not_called_soft(ratios):
-    """The leads of two joints are those of servos with these ratios of true to assumed k_p."""
+    """The leads of two joints result from servos with these ratios of true to assumed k_p."""
     arm = bare_arm("so101")
     weight, kp = np.array([0.0, 1.0, 1.0, 0.0, 0.0]), np.asarray(arm.servos.kp)
     leads = np.zeros(5)

@@ -12,8 +12,8 @@ from pliant._core import SUPPORT, CommandLimiter, JointReadings, PositionFilter,
 from pliant.arm import Budget, State
 
 BENCHES = Path(__file__).resolve().parents[2] / "benches"
-#: Largest number of calls per tick, and of those of functions written in Python. A count needs no
-#: idle machine; Python versions and NumPy differ by some calls.
+#: Largest number of calls per tick, and of calls of functions written in Python among them. A count
+#: needs no idle machine; versions of Python and NumPy differ by some calls.
 CALLS = {"null": (55, 35), "so101": (75, 32)}
 
 
@@ -55,7 +55,7 @@ def test_limits_equal_their_formula(supply, lead):
     count = 0
     for _ in range(200):
         position = rng.normal(0.0, 1.0, size)
-        # The gripper, off the chain, may be unknown.
+        # The position of the gripper, which is off the chain, may be unknown.
         position[4] = np.nan if rng.random() < 0.2 else position[4]
         positions = PositionFilter(np.ones(size))
         positions.update(position, np.ones(size, dtype=bool), 0.0)
@@ -221,7 +221,7 @@ def test_arrays_of_a_state_that_is_kept_do_not_change():
             assert array.tolist() == [0.001 * cycle] * model.n
     for cycle, view in enumerate(views, 5):
         assert view.tolist() == [0.001 * cycle] * (model.n - 1)
-    # Nothing refers to the arrays of earlier states: three are in use.
+    # Arrays of states that are no longer referenced are used again: three suffice.
     assert len({id(state(cycle).q) for cycle in range(20, 40)}) == 3
 
 

@@ -1,7 +1,7 @@
 """Commands of a transfer of the weight to the servos of two joints, compared with recorded ones.
 
 The joints have the friction, stops and encoders of a plant in this file, which takes milliseconds.
-`python tests/arm/test_transfer.py` prints the rows again after a change that was meant.
+`python tests/arm/test_transfer.py` prints the rows again, after an intended change.
 """
 
 import numpy as np
@@ -172,7 +172,7 @@ def test_a_silent_joint_ends_the_transfer_with_commands_that_hold(first):
     pair = Pair(load=0.2, silent=range(first, 999))
     with pytest.raises(pliant.ServoTimeoutError, match=r"^no position of second for 0\.5 s"):
         pair.run(100.0)
-    # Goals lead by what carries the arm, and the limits are a little above it.
+    # The lead of each goal needs no more torque than the limit allows.
     torque = pair.kp * (pair.goal - pair.q)
     assert np.all(np.abs(torque) < pair.limit + 1e-9)
     assert pair.ramped is None

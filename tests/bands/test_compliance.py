@@ -66,10 +66,10 @@ def test_a_stiff_axis_follows_a_strong_hand_beyond_its_limit(conditions):
     expected = limit * compliance.stiffness("y")  # [N], measured 11.0
     assert result.moved > 0.14  # [m], of 0.15
     assert result.held == pytest.approx(expected, abs=2.5)  # [N], measured 10.8
-    assert result.force < 0.5 * free.force  # measured 12.5 of 36.2
-    assert result.drift < 0.25 * free.drift  # measured 6 of 42 mm
+    assert result.force < 0.5 * free.force  # [N], measured 12.5 and 36.2
+    assert result.drift < 0.25 * free.drift  # measured 6 and 42 mm
     assert result.end < 0.002  # [m], distance from the target at the end
-    assert result.fastest < 0.7 * free.fastest  # measured 0.95 of 1.87 rad/s
+    assert result.fastest < 0.7 * free.fastest  # measured 0.95 and 1.87 rad/s
 
 
 @pytest.mark.parametrize("reaction", ["yield", "wait"])
@@ -85,7 +85,7 @@ def test_a_blocked_axis_does_not_push_with_all_it_has(reaction):
     assert result.limited == pytest.approx(1.0)
     assert free.limited == pytest.approx(0.0)
     assert result.left < 0.002  # [m], distance from the target after the wall is gone
-    assert result.fastest < 0.5 * free.fastest  # measured 0.27, 0.33 of 0.77 m/s
+    assert result.fastest < 0.5 * free.fastest  # measured 0.27, 0.33 and, `free`, 0.77 m/s
 
 
 def test_a_target_that_waits_waits_on_all_axes_and_one_that_follows_does_not():

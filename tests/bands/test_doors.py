@@ -1,4 +1,4 @@
-"""Doors: the default law opens them with little force; with others they jam."""
+"""Doors: law `cap` opens each of them with little force; other laws need more force, or jam."""
 
 import pytest
 
@@ -65,7 +65,7 @@ def test_all_stiff_jams_and_pulls_hard():
     assert rigid_grip.angle < 35.0  # [deg], measured 22
     assert rigid_grip.force >= 2.0 * doors.open_door(controllers.cap).force
     turning_grip = doors.open_door(all_stiff, "door", "turning")
-    # Measured 4.0.
+    # Measured: 4.0 times.
     assert turning_grip.force >= 2.0 * doors.open_door(controllers.rec, "door", "turning").force
 
 

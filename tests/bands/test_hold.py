@@ -38,7 +38,7 @@ def test_cap_holds_while_an_axis_follows():
         "axis",
         "size",
         "largest",
-    ),  # size [N or N·m]; largest [m or rad], measured 0.0076, 0.024, 0.052
+    ),  # size [N or N·m]; largest [m or rad], measured 0.0076 (x), 0.024 (z), 0.052 (pitch)
     [
         ("x", 10.0, 0.011),
         ("x", -10.0, 0.011),

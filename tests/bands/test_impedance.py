@@ -104,7 +104,7 @@ def test_a_slow_loop_with_a_tick_each_way_is_stable():
 def test_a_spring_answers_in_proportion():
     soft = controllers.impedance(soft="", stiffness=(300.0, 20.0))
     deviation = disturbances.push_stiff(soft, "y", 6.0)
-    assert deviation == pytest.approx(6.0 / 300.0, abs=0.006)  # [m] plus friction of the gears
+    assert deviation == pytest.approx(6.0 / 300.0, abs=0.006)  # [m], with gear friction
 
 
 def test_the_cap_bounds_a_spring():

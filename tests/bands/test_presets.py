@@ -26,7 +26,7 @@ def test_drawer(degrees, conditions):
     with nullcontext() if conditions is NOMINAL else under(conditions):
         result = tasks.pull_drawer(Settings.drawer(), degrees=degrees, conditions=conditions)
     assert result.way > 0.249  # [m], of 0.25
-    assert result.force < 17.5  # [N], measured 15.4; the promise is the arm's `firm`, 15 N
+    assert result.force < 17.5  # [N], measured 15.4; the cap is the arm's `firm`, 15 N
     assert result.across < 10.5  # [N], measured 8.4
     assert result.torque < 1.5  # [N·m], measured 1.1
     stiff = tasks.pull_drawer(STIFF, degrees=degrees, conditions=conditions)
@@ -88,7 +88,7 @@ def test_hand_over(conditions):
     assert result.effort < 25.0  # [N], measured 19.7, 22
     assert (
         0.003 < result.sag < 0.010
-    )  # [m], measured 0.007; 0.0001 with the payload of 0.3 kg known
+    )  # [m], measured 0.007; 0.0001 if the controller knows the payload
     assert result.fastest < 0.5  # [m/s], measured 0.36
     stiff = tasks.hand_over(STIFF, conditions=conditions)
     assert stiff.effort > 2.0 * result.effort  # measured 2.8
@@ -122,7 +122,7 @@ def test_plug(holes, conditions):
     assert max(plug.along for plug in result) < 11.5  # [N], measured 4.0, cap 10
     assert max(plug.across for plug in result) < 5.0  # [N], measured 2.1
     assert max(plug.off for plug in result) < 0.003  # [m], measured 0.001
-    # Measured 15.
+    # Measured: 15 times.
     assert max(plug.across for plug in stiff) > 3.0 * max(plug.across for plug in result)
     assert max(plug.across for plug in stiff) > 12.0  # [N], measured 20; 8.5 with exact holes
 
@@ -134,7 +134,7 @@ def test_a_blocked_plug_pushes_with_its_cap():
     assert not result.inside
     assert not stiff.inside
     assert result.along == pytest.approx(6.0, abs=1.5)
-    assert stiff.along > 1.4 * result.along  # measured 1.8: no more, since the servos are springs
+    assert stiff.along > 1.4 * result.along  # measured 1.8; the servos are springs and yield
     assert stiff.across > 5.0 * result.across  # measured 40
 
 

@@ -95,5 +95,5 @@ def test_gravity_is_carried_at_a_limit():
 def test_an_arm_beside_its_stops_comes_to_rest_after_a_push(name, pose, ticks):
     """The arm neither oscillates nor drifts after the release."""
     result = joint_limit_rest.Job(name, pose, ticks).run()
-    assert result.moves[1] < 4e-3  # within a second, 8 s after release
+    assert result.moves[1] < 4e-3  # [rad], motion within a second, 8 s after release
     assert result.turns[1] == 0

@@ -68,7 +68,7 @@ def command(tmp_path):
 
     def run(name, *flags, statement="pass", backend="emulator"):
         arguments = (name, arm, *flags, "--backend", backend)
-        # A new process: only there an import between ticks is visible.
+        # Use a new process: a fork of the server has imported the modules already.
         start = run_alone if backend == "emulator" else programs.run
         result = start("-c", PROGRAM.replace("{each}", statement), *arguments)
         assert result.stdout, result.stderr

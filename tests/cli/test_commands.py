@@ -222,7 +222,8 @@ def test_only_an_identified_stiffness_is_written(so101, monkeypatch, unsure):
     changed = config.load(str(so101)).model()
     assert changed.servos.stiffness_known is (not unsure)
     table = np.asarray(model.servos.kp)
-    expected = np.where(np.isin(names, unsure), 2.0 * table, kp)  # the file had gain 16
+    # k_p from the file's gain of 16 doubles with the present gain of 32.
+    expected = np.where(np.isin(names, unsure), 2.0 * table, kp)
     np.testing.assert_allclose(changed.servos.kp, expected, rtol=1e-3)
 
 

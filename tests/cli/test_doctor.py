@@ -75,7 +75,7 @@ def test_a_gain_that_differs_from_the_servo_is_reported():
 
 
 def test_a_servo_that_torque_on_would_refuse_is_not_ready():
-    """A gripper of the calibration, outside the range of its own goals: no joint of the model."""
+    """The servo is the gripper's, which is no joint of the model and is outside its goal range."""
     with make_emulator(config.load("so101", backend="emulator")) as bus:
         servo = bus.servo(6)
         servo.put("min_position_limit", servo.get("present_position") + 100)
@@ -92,7 +92,7 @@ def test_a_servo_that_torque_on_would_refuse_is_not_ready():
 
 @pytest.mark.parametrize("broken", [2, 3])
 def test_a_servo_that_has_shut_down_is_not_ready(broken):
-    """Either servo of the shoulder's pair: the one without a fault hides no other."""
+    """The shoulder has two servos; the one without a fault must not hide the fault of the other."""
     text = config.loader.builtin_text("koch").replace(
         "id = 2 }", "id = 2, secondary = { id = 3, sign = 1 } }"
     )

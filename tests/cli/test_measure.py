@@ -207,7 +207,7 @@ def test_the_file_names_servos_latencies_and_the_ending(session):
 
 
 def numbers(value, key=""):
-    """Yield the key of each number in the contents of the file; `key` is that of `value`."""
+    """Yield the key of each number in a part of the file: `value`, which has the key `key`."""
     if isinstance(value, dict):
         for name, item in value.items():
             yield from numbers(item, key if key == "counters" else name)

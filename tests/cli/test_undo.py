@@ -69,7 +69,7 @@ def test_the_column_is_shows_what_the_servo_has(after_setup, capsys, monkeypatch
     bus, file, backup, _ = after_setup
     data = json.loads(backup.read_text())
     change = next(c for c in data["changes"] if c["register"] == "return_delay" and c["id"] == 2)
-    change["new"] = 77  # not the value in the servo
+    change["new"] = 77  # differs from the value in the servo
     backup.write_text(json.dumps(data))
     monkeypatch.setattr("sys.stdin", io.StringIO())
     assert main(["servos", "setup", str(file), "--undo", str(backup)]) == 1

@@ -105,7 +105,7 @@ def test_a_packaged_arm_moves_with_an_emulator_process():
     options = {"rate": 20.0, "comm_timeout": 20.0, "handle_signals": False}
     with pliant.connect("arm7", backend="emulator", **options) as arm:
         servo_bus = arm.drive
-        assert servo_bus._cycle == pytest.approx(0.05)  # its timeouts follow the rate too
+        assert servo_bus._cycle == pytest.approx(0.05)  # its timeouts depend on the rate too
         move(arm, "arm7")
         order = servo_bus.emulator.call("log.order", servo_bus.specs[0].id)
         assert not servo_bus.emulator.call("log.eeprom_writes")

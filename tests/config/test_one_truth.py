@@ -36,7 +36,7 @@ voltage = {volts}
 
 
 def read(name, tmp_path, backend):
-    """Read a built-in configuration, or that of another robot from a file written here."""
+    """Read a built-in configuration, or write and read the configuration of another robot."""
     if name in READY_FILES:
         return config.load(name, backend=backend)
     if name == "vx300s":
@@ -53,7 +53,7 @@ def read(name, tmp_path, backend):
 
 
 def on_bytes(arm_config, model):
-    """Return servo parameters of an arm on emulated servos: of the arm, true ones, of its model."""
+    """Return servo parameters with emulated servos: the arm's, the true ones, the model's."""
     with make_emulator(arm_config, clock="steps") as bus:
         servo_bus = ServoBus(
             factory.servo_specs(arm_config, bus.ports),

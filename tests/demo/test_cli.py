@@ -50,7 +50,7 @@ ONE_LINE = [
     (main, ["--verson"], "no flag '--verson'"),
     (demo, ["--only", "x"], "such as 1,3; got 'x'"),
     (demo, ["--only", "1,9"], "no experiment 9; choose from 1"),
-    (demo, ["--jobs", "0"], "--jobs must be within 1 and"),
+    (demo, ["--jobs", "0"], "--jobs must be from 1 to"),
     (demo, ["--tip", "tool"], "belong to --urdf"),
     (demo, ["--urdf", "nowhere.urdf"], "nowhere.urdf"),
     (demo, ["--robot", "koch", "--only", "5"], "no experiment 5"),

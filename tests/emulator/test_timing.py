@@ -42,8 +42,8 @@ STS = [
 @pytest.mark.parametrize(
     ("model", "requests", "baud", "delay", "hertz"),
     [
-        # Wire arithmetic of the three families, by hand: bytes x 10 bits, 30 us a reply, factory
-        # return delay 500 us.
+        # Calculated by hand for the three families: 10 bits per byte and 30 us per reply, with
+        # return delay 0 and with the factory value of 500 us.
         ("RX-64", P1_RX, 1_000_000, 0, 431),
         ("RX-64", P1_RX, 1_000_000, 250, 178),
         ("MX-64", P1_MX, 1_000_000, 0, 490),

@@ -122,7 +122,7 @@ def test_goal_current_limits_torque_in_mode_5_and_not_in_mode_3():
 
 @pytest.mark.parametrize("name", [name for name in list_models() if name in MODELS])
 def test_factory_gains_of_driver_and_emulator_agree(name):
-    # Both tables are copied from the e-Manuals, each for itself.
+    # Both tables were copied from the e-Manuals, independently of each other.
     row, table = get_model(name), MODELS[name].table
     registers = ("position_p_gain", "p_gain", "p_coefficient", "cw_compliance_slope")
     (gain,) = (register for register in registers if register in table)

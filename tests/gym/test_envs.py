@@ -175,7 +175,7 @@ def in_new_process(code, **environment):
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems draw without a display")
 def test_a_picture_without_a_display_is_an_error_with_a_remedy():
-    """MuJoCo's own error leaves a process that the second picture aborts."""
+    """After MuJoCo's own error, a second attempt to draw a picture would abort the process."""
     code = (
         "import pliant.gym as gym\n"
         "for _ in range(2):\n"

@@ -1,4 +1,4 @@
-"""`VectorTaskEnv`: the numbers of single environments, Gymnasium's autoreset modes, wrong input."""
+"""`VectorTaskEnv`: numbers as of single environments, Gymnasium's autoreset modes, wrong input."""
 
 import numpy as np
 import pytest
@@ -93,7 +93,7 @@ def test_without_autoreset_an_arm_stands_still_until_its_reset():
     envs = make(Wall(max_force=20.0, distance=(0.03, 0.03)), "Disabled", 2, max_episode_steps=60)
     envs.reset(seed=0)
     push = np.zeros(envs.action_space.shape)
-    push[0, 0] = push[0, 6] = 1.0  # firm into the wall; the other arm stays
+    push[0, 0] = push[0, 6] = 1.0  # one arm, with firm axes, moves into the wall
     for _ in range(50):
         before, _, terminated, truncated, info = envs.step(push)
     assert terminated.tolist() == [True, False]

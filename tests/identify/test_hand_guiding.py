@@ -11,7 +11,7 @@ from experiments.hand_guiding import guide
 
 
 def guide_arm(arm, pose, kp):
-    """Run hand guiding with a true stiffness of `kp` times the assumed one; return its figures."""
+    """Run hand guiding with a true stiffness of `kp` times the assumed one; return the result."""
     is_known = kp == 1.0
     with nullcontext() if is_known else Mismatch(plant=Parameters(kp=kp), assumed=Parameters()):
         return guide(arm, pose, kp)

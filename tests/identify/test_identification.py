@@ -87,7 +87,7 @@ def test_real_gears_of_small_arms_show_their_load(arm):
     assert np.abs(result.friction - 1.0).max() < 0.35  # measured 0.27
     assert (
         result.found.servos.load_friction.max() > 0.3
-    )  # STS3215: 0.245 + 0.142 of the load, at rest
+    )  # friction of the STS3215 at rest: 0.245 + 0.142 of the load
 
 
 @pytest.mark.full
@@ -137,7 +137,7 @@ def test_a_force_that_lifts_the_tool_is_reported():
 
 def test_the_result_makes_a_controller():
     result = identify_case("so101", "gears as they are").found
-    assert result.servos.load_friction[1:4].min() > 0.2  # STS3215: a quarter of the load, and more
+    assert result.servos.load_friction[1:4].min() > 0.2  # STS3215: a quarter of the load or more
     model = robots.so101()
     controller = result.controller(model, pliant.Settings(task="xyz"))
     assert controller.servos == result.servos
@@ -180,4 +180,5 @@ def test_an_arm_that_is_held_is_left_holding():
         with pytest.raises(pliant.ServoError, match=r"behind|left its range"):
             identify.identify_servos(plant, model, gap.servos(model))
     command = plant._bus.sent
-    assert np.abs(command.goal - plant.q).max() < 0.2  # near its pose, not on the planned motion
+    # The last goal is near the pose, not on the planned motion.
+    assert np.abs(command.goal - plant.q).max() < 0.2

@@ -51,7 +51,7 @@ def test_drive_runs_an_arm_that_advances():
     arm = Still()
     result = run_procedure(arm, Procedure(counting(4, []), 2))
     np.testing.assert_array_equal(result, [4.0, 4.0])
-    assert len(arm.sent) == 5  # four steps, and the last command again
+    assert len(arm.sent) == 5  # four steps; the last command is sent twice
 
 
 def test_settings_are_restored_when_the_arm_fails():

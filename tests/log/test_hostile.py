@@ -97,7 +97,7 @@ def with_run(content, run):
 
 
 def description_of(content):
-    """Return the description of the run that the file holds."""
+    """Return the description of the run from the file."""
     for kind, body in records(content):
         if kind == ATTACHMENT and layout.RUN.encode() in body[:100]:
             return json.loads(body[body.index(b"{") : -4])

@@ -213,7 +213,7 @@ def test_a_command_that_cannot_be_written_is_refused_before_the_step():
 
 
 def test_a_description_is_read_once(tmp_path):
-    """The URDF is read once, so that the text kept for pickles is that of the model."""
+    """The URDF is read once, so that pickles contain the text from which the model was made."""
     import os
 
     text = pliant.robots.koch().source[0]

@@ -41,7 +41,7 @@ def documented(node: ast.Module | ast.ClassDef, owner: str = "") -> dict[str, st
 
 
 def expected(name: str) -> str:
-    """Return the docstring that `help()` must show; for an attribute, that of its argument."""
+    """Return the docstring that `help()` must show; for an attribute, the text of its argument."""
     head, _, member = name.partition(".")
     if text := DOCUMENTED[name] or not member:
         return text

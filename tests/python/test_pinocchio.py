@@ -44,7 +44,7 @@ class Oracle:
         return out
 
     def collect(self, full):
-        """Convert columns of a matrix from Pinocchio's coordinates to those of pliant's model."""
+        """Convert columns of a matrix from Pinocchio's coordinates to pliant's joints."""
         out = np.zeros((full.shape[0], self.model.n))
         for joint in self.model.joints:
             if joint.q_index is not None:

@@ -107,7 +107,7 @@ def test_an_array_changed_in_place_is_given_up(controller, q, target, change):
         assert command.goal.dtype == np.float64
         assert command.goal.flags.carray
         assert np.isfinite(command.goal).all()
-        command.goal[:] = 0.0  # writable, and not pooled
+        command.goal[:] = 0.0  # the array is writable, and is not used again
 
 
 def test_what_a_user_writes_into_a_command_does_not_reach_the_controller(

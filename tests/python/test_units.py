@@ -10,7 +10,7 @@ import pliant
 from pliant.cli._targets import Target
 
 ARMS = ["arm7", "so101", "koch"]
-#: Feet, inches, decimetres, centimetres, millimetres.
+#: Factors from metres to feet, inches, decimetres, centimetres, millimetres.
 FACTORS = [1 / 0.3048, 1 / 0.0254, 10.0, 100.0, 1000.0]
 
 

@@ -147,7 +147,7 @@ def test_target_pose_moves_the_tool(running, client):
         condition=lambda: np.linalg.norm(running.tool[:3, 3] - goal[:3, 3]) < 0.008,
         description="the motion to the target",
     )
-    # Without further targets the arm holds the last one.
+    # Without further targets the arm stays at the last one.
     running.ticks_of(200)
     assert np.linalg.norm(running.tool[:3, 3] - goal[:3, 3]) < 0.008
     assert np.allclose(running.bridge.target, goal, atol=1e-9)

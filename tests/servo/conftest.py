@@ -1,4 +1,4 @@
-"""A bus in memory with its own clock, and buses on emulated servos behind real bytes."""
+"""A bus in memory with its own clock, and buses that exchange bytes with emulated servos."""
 
 from __future__ import annotations
 

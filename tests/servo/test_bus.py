@@ -383,7 +383,7 @@ def test_a_reading_and_the_first_ones_of_a_closed_copy_take_a_limited_time(
         copy.close()
         assert {budget for budget, _ in budgets} == {copy._budget}
         assert budgets[0][1] == 0
-        # After a request that failed, late replies are waited for.
+        # After a failed request, an infinite budget gives `reopen` time to discard late replies.
         budgets.clear()
         monkeypatch.setattr("pliant.servo._enable.RESUME_TIME", 0.02)
         bus.unplug(2)
@@ -473,7 +473,7 @@ def test_a_dead_servo_is_asked_every_eighth_cycle(fake_bus, model):
     assert sorted(accepted[-1]) == [0, 1, 2]
     first = next(i for i, found in enumerate(accepted) if len(found) == 3)
     assert first == 4
-    # A single silence is forgotten.
+    # One reply ends the count of consecutive silences.
     chain.dead = {2}
     for _ in range(2):
         chain.cycle()
@@ -524,7 +524,8 @@ def test_a_servo_that_is_silent_gets_no_goal_before_its_torque_is_known(
     chain.dead, chain.port._restart = {2}, math.inf
     assert goals_and_limits() == [[True] * 3] * 2
     chain.port._restart = 0.1
-    # A restarted servo may hear this goal before it is read: in some models a goal is torque on.
+    # A servo that may have restarted gets no goal until it has been read, because in some models a
+    # goal switches torque on.
     assert goals_and_limits() == [[True, False, True], [True] * 3]
     chain.put(2, torque_enable=has_torque)
     assert goals_and_limits() == [[True, False, True], [True] * 3]
@@ -545,7 +546,7 @@ def test_an_armed_watchdog_that_tripped_in_a_silence_is_armed_again(fake_bus):
     assert chain.devices[1].trips == 1
     assert [chain.get(i, "watchdog") for i in (1, 2, 3)] == [25] * 3
     assert not chain.devices[1].tripped
-    # Off: watchdogs are not asked about any more.
+    # Once watchdogs are off, their registers are no longer read.
     assert chain.port.set_watchdog(0.0, 1.0) == []
     chain.put(2, watchdog=driver.TRIPPED)
     chain.cycle(0.2)

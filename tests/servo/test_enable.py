@@ -166,7 +166,7 @@ def test_registers_that_were_not_restored_after_a_failure_are_named(monkeypatch)
 def test_a_silent_servo_delays_no_watchdog_of_the_others():
     with Emulator(devices("xm", 3), clock="steps") as bus, servo_bus_on(bus, "xm", 3) as servo_bus:
         servo_bus.read()
-        time.sleep(0.05)  # longer than the time for a cycle, of which this call gets a new one
+        time.sleep(0.05)  # longer than the time budget of a cycle: the call must start a new one
         bus.unplug(1)
         before = servo_bus.counters
         with pytest.raises(ServoError, match=r"\Ajoint0 did not confirm"):
@@ -174,7 +174,7 @@ def test_a_silent_servo_delays_no_watchdog_of_the_others():
         assert servo_bus.counters["retries"] == before["retries"]
         assert 1 <= servo_bus.counters["timeouts"] - before["timeouts"] <= 4
         assert [servo.get("bus_watchdog") for servo in bus.servos[1:]] == [10, 10]
-        # A line without any reply is not tried again.
+        # If no servo at all replies, the requests are not repeated.
         bus.short()
         before = servo_bus.counters
         with pytest.raises(ServoError, match=r"\Ajoint0, joint1, joint2 did not confirm"):
@@ -237,7 +237,7 @@ def test_first_goals_lead_by_what_carries_the_weight(kind):
 
 @pytest.mark.parametrize("kind", ["sts", "xm"])
 def test_few_requests_while_an_arm_hangs_on_servos_without_feedback(kind):
-    """An arm with a load falls until the first goal that answers its motion."""
+    """An arm with a load falls until the first goal that reacts to its motion."""
     with Emulator(devices(kind, 6), clock="steps") as bus, servo_bus_on(bus, kind, 6) as chain:
         goal, requests, line = chain.read().position, [], bus.lines["main"].faults
 
@@ -248,7 +248,7 @@ def test_few_requests_while_an_arm_hangs_on_servos_without_feedback(kind):
         chain.enable(goal, 0.5 * chain.servos.max_torque)
         chain.read()
         assert all(servo.enabled for servo in bus.servos)
-        # Without requests to all servos at a time: 43 (sts) and 13 (xm).
+        # With a request per servo instead of one to all servos: 43 (sts) and 13 (xm).
         assert 0 < sum(requests) <= 10
 
 
@@ -355,7 +355,7 @@ def test_a_goal_pwm_that_was_left_low_does_not_weaken_a_current_limited_servo(em
 
 @pytest.mark.parametrize("kind", ["xm", "xl430", "mx"])
 def test_an_integral_gain_that_another_program_left_is_off_while_driven(emulated, enabled, kind):
-    """A servo that integrates pushes against a hand until its torque limit."""
+    """With an integral gain, a servo's force against a hand would grow up to its torque limit."""
     name = "i_gain" if kind == "mx" else "position_i_gain"
     with emulated(kind, 1, clock="steps", is_open=False) as (bus, servo_bus):
         bus.servos[0].put(name, 200)
@@ -443,7 +443,7 @@ def test_torque_goes_off_on_a_line_that_is_never_silent(enabled, kind, disturban
 @pytest.mark.parametrize("disturbance", ["hum", "echo"])
 @pytest.mark.parametrize("kind", ["sts", "xm", "mx"])
 def test_a_line_that_is_never_silent_is_reported_at_open(kind, disturbance):
-    # Noise comes every 5 ms, and a fifth of the reply timeout without it counts as silence.
+    # Noise arrives every 5 ms; only 10 ms without data, a fifth of the reply timeout, are silence.
     with (
         Emulator(devices(kind, 3), clock="steps") as bus,
         servo_bus_on(bus, kind, 3, 0.05) as servo_bus,
@@ -506,9 +506,9 @@ class Image(dict):
         (32, 0, 0.0, 0, True),  # 0.05 rad
         (33, 0, 0.0, 0, False),
         (-33, 0, 0.0, 0, False),
-        (-50, -100, 0.1, 0, True),  # it fell: twice 100 steps/s for 0.1 s
+        (-50, -100, 0.1, 0, True),  # falling: twice 100 steps/s for 0.1 s is allowed
         (-53, 10, 0.1, 0, False),
-        (90, 0, 0.0, 1000, True),  # it sags until its servo exerts its limit
+        (90, 0, 0.0, 1000, True),  # sagging is allowed until the servo exerts its limit
         (600, 0, 0.0, 1000, False),
     ],
 )

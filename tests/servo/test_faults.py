@@ -207,7 +207,7 @@ def test_a_servo_that_is_about_to_switch_off_gets_no_torque(emulated, enabled, k
         servo.temperature = limit - 3.0
         enabled(servo_bus)
         servo.temperature = limit - 1.0
-        enabled(servo_bus)  # a servo with torque is taken over
+        enabled(servo_bus)  # accepted, because the servo already has torque
 
 
 @pytest.mark.parametrize("kind", PROTOCOLS)
@@ -222,7 +222,7 @@ def test_a_temperature_limit_that_no_servo_stays_below_is_named(emulated, enable
 
 @pytest.mark.parametrize("kind", ["xm", "xl430", "mx", "ex"])
 def test_an_overload_that_leaves_the_torque_on_is_no_fault(emulated, enabled, kind):
-    # Bit 5 of Shutdown is clear after `pliant servos setup`; the servo reports the overload still.
+    # `pliant servos setup` clears bit 5 of Shutdown; the servo still reports the overload.
     with emulated(kind, 2, clock="steps", is_open=False) as (bus, servo_bus):
         for id in (1, 2):
             servo = bus.servo(id)
@@ -452,7 +452,7 @@ def test_a_tripped_watchdog_is_cleared_before_torque_comes_on(emulated, enabled)
         bus.sync()
         assert [servo.get("bus_watchdog") for servo in bus.servos] == [0, 0]
         assert all(servo.get("goal_position") > 2100 for servo in bus.servos)
-        # A watchdog that has not tripped is not touched.
+        # No packet writes a watchdog that has not tripped.
         assert {write.id for write in bus.log.writes("bus_watchdog")} == {2}
 
 
@@ -576,7 +576,7 @@ def test_the_torque_of_all_servos_is_read_only_if_it_takes_little_of_a_cycle(cha
 
 
 def test_a_register_is_wrong_after_three_packets_and_half_a_second():
-    """Each row: number of the write packet, value read, time [s]; counts of mismatches; fault."""
+    """A row has write packet number, value read, time [s]; counts of mismatches; True: a fault."""
     device = Device(ServoSpec(name="pan", model="STS3215-7.4V", id=1, port=""), 0, 1, 1)
     device.enabled, written = True, 2000
     assert not device.has_suspect_register

@@ -21,7 +21,7 @@ from pliant.servo._transactions import Reply, TransactionGuard
 from pliant.servo.models import Block
 from pliant.servo.transport import RustypotTransport
 
-#: A reply comes at once or never; a rejected one costs this time [s].
+#: A reply comes immediately or never; a rejected one costs this time [s].
 TIMEOUT = 0.004
 SIZE, IDS = 6, (1, 2)
 BLOCK = Block(56, SIZE)

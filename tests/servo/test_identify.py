@@ -145,8 +145,8 @@ def test_a_noisy_line_is_reported_once():
     [
         ("STS3215-7.4V", 1, 1, True),
         ("STS3215-7.4V", 0, 1, False),
-        ("STS3215-7.4V", 1, 2, False),  # the file is that of the first servo
-        ("XM430-W350", 1, 1, False),  # the register holds the direction
+        ("STS3215-7.4V", 1, 2, False),  # the calibration file describes the first servo only
+        ("XM430-W350", 1, 1, False),  # the servo has a register for the direction
     ],
 )
 def test_an_inverted_joint_of_a_calibration_file_is_noted(model, drive_mode, number, has_note):
@@ -176,7 +176,7 @@ def test_ceilings_and_gains_are_the_servos_own():
     parts = [Device("STS3215", id=1, max_torque_limit=500, p_coefficient=16, overload_torque=25)]
     with Emulator(parts, clock="steps") as bus:
         servo_bus = opened(bus, PAN)
-        # The bus is closed after the error; the servo parameters that it has read stay.
+        # The error has closed the bus; the servo parameters that it had read remain available.
         assert servo_bus.servos.max_torque[0] == pytest.approx(1.91 / 2, rel=0.01)
         assert servo_bus.servos.kp[0] == pytest.approx(5.1, rel=0.01)
         assert servo_bus.overload[0] == pytest.approx(0.5)
@@ -219,7 +219,7 @@ EX, RX, MX = ("EX-106+",) * 2, ("RX-64",) * 2, ("MX-64",) * 2
     ("model", "registers", "expected"),
     [
         (XM, {"operating_mode": 4}, "operating mode 4, needed is 5"),
-        (XM, {"operating_mode": 5, "drive_mode": 1}, None),  # counts in the other direction
+        (XM, {"operating_mode": 5, "drive_mode": 1}, None),  # reverse direction is allowed
         (XM, {"operating_mode": 5, "drive_mode": 2}, "(bit 1)"),
         (XM, {"operating_mode": 5, "drive_mode": 4}, "(bit 2)"),
         (XM, {"operating_mode": 5, "drive_mode": 8}, "(bit 3)"),
@@ -322,7 +322,7 @@ def test_settings_that_weaken_or_delay_a_servo_are_noted(model, registers, expec
             100,
             4000,
         ),
-        # Several turns: the range of one turn about the zero.
+        # In a mode with several turns, the range is one turn about the zero.
         (
             XL,
             {"operating_mode": 4, "min_position_limit": 1000, "max_position_limit": 3000},

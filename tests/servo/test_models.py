@@ -15,8 +15,8 @@ from pliant.servo.models import by_number
 from pliant.servo.models.base import estimated_mechanics
 
 ALL = list_models()
-#: By register of the driver: names in the tables of the emulator, of which each table has the first
-#: that it contains; empty if the emulator lacks the register.
+#: By register of the driver: names of the register in the emulator's tables. In each table, the
+#: first name that it contains counts; empty if the emulator lacks the register.
 NAMES = {
     "model": ("model_number",),
     "firmware": ("firmware_version", "firmware_major"),
@@ -67,14 +67,15 @@ NAMES = {
     "limit": ("torque_limit", "goal_current", "goal_pwm"),
     "goal_velocity": ("goal_velocity",),
 }
-#: Sign coding of the driver, by that of the emulator.
+#: Sign coding of the driver, by sign coding of the emulator.
 SIGNS = {None: "unsigned", 0: "twos", 10: "bit10", 11: "bit11", 15: "bit15"}
 #: Registers whose sign driver and emulator may code differently: positions within a turn are never
 #: negative, and a tripped watchdog is 255 for the driver, -1 for the emulator.
 OTHER_SIGNS = {"position_min", "position_max", "goal", "position", "watchdog"}
 #: Registers that the driver does not use in some families that have them.
 NOT_USED = {"current", "goal_velocity", "lock", "punch", "pwm_goal"}
-#: Largest scatter of no-load speed and stall torque over voltage, in data sheets with a larger one.
+#: Allowed scatter of no-load speed and of stall torque over voltage, as a ratio, for data sheets
+#: with a larger scatter than the others.
 SCATTERS = {
     "XH540-W270": (1.05, 1.09),
     "XL330-M077": (1.03, 1.3),
@@ -111,8 +112,9 @@ XL430-W250 1060 0 0 - 11.1 6.5 12 | 9 1.0 47 | 11.1 1.4 57 | 12 1.5 61
 XC430-W150 1070 0 0 - 12 6.5 14.8 | 9 1.2 80 | 11.1 1.4 99 | 12 1.6 106
 XC430-W240 1080 0 0 - 12 6.5 14.8 | 9 1.4 52 | 11.1 1.7 65 | 12 1.9 70
 """
-#: Per family: status code, sync read, full duty and load, largest speed cap, ceiling; motor duty
-#: per radian and unit of the gain, unit of speed [rpm], share of the torque that overloads.
+#: Per family: coding of the status, True with sync read, register values of full duty, full load
+#: and largest speed, register that bounds the torque limit; motor duty per radian and unit of the
+#: gain, unit of speed [rpm], overload threshold as a share of the torque.
 FAMILIES = {
     "STS3215": ("feetech", True, 1000, 1000, 3400, "max_torque", 0.166, 60 / 4096, 0.8),
     "EX-106+": ("p1", False, 1023, 1023, 1023, "max_torque", 0.0, 0.111, None),
@@ -240,7 +242,7 @@ def test_blocks_hold_what_the_cycle_needs(name):
             assert block.address <= register.address
             assert register.address + register.size <= end
     assert family.read[0].size != family.read[1].size
-    # Goal and limit are adjacent, so that one packet writes both, and not in EEPROM.
+    # Goal and limit are adjacent, so that one packet writes both, and they are in RAM.
     fields = [field for packet in family.write for field in packet]
     assert {"goal", "limit", "speed_cap"} <= {*fields}
     assert all(

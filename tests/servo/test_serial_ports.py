@@ -1,4 +1,4 @@
-"""Serial ports of Linux and of Windows with a registry of the test's own; dropped ports."""
+"""Serial ports of Linux and of Windows, with a simulated registry; dropped ports."""
 
 import contextlib
 import os

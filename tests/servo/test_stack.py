@@ -1,4 +1,4 @@
-"""The whole stack down to bytes on physics: controller, arm, driver, rustypot, emulator, MuJoCo."""
+"""The whole stack: controller, arm, driver, rustypot, bytes, emulated servos and MuJoCo."""
 
 import numpy as np
 import pytest

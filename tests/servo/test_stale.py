@@ -1,4 +1,4 @@
-"""Late replies: a reply that arrives after its timeout is not taken for that of a later request."""
+"""Late replies: a reply after its timeout is not taken for the reply to a later request."""
 
 import numpy as np
 import pytest
@@ -45,7 +45,7 @@ class LateLine:
         """Return the next packet that arrives, from any servo and of any length."""
         self._coming.sort(key=lambda packet: packet[0])
         if not self._coming or self._coming[0][0] > end:
-            self.now = end + 1e-6  # a clock has passed the timeout
+            self.now = end + 1e-6  # the time is past the timeout
             raise BusError("nothing came", "timeout", id)
         arrival_time, sender, data = self._coming.pop(0)
         self.now = max(self.now, arrival_time)

@@ -1,7 +1,7 @@
 """Requests and results of a bus in a session with failures, compared with recorded ones.
 
-A recording in `tests/data/transcripts` is right as long as the change that made it was meant: run
-this file as a program to record again, and review the differences.
+The recordings are in `tests/data/transcripts`. After an intended change, run this file as a program
+to record again, and review the differences.
 """
 
 import math
@@ -25,7 +25,8 @@ from pliant.servo import scan as scanning
 from pliant.servo._transactions import TransactionGuard
 from pliant.servo.eeprom import RegisterChange, plan_restore, plan_setup, set_id, write_changes
 
-#: Number of requests of a call that are recorded; of further ones, count and checksum are.
+#: Number of requests per call that are recorded in full. Of the others, count and checksum are
+#: recorded.
 MOST = 12
 FOLDER = Path(__file__).parents[1] / "data" / "transcripts"
 RANGE = {"lower": -1.2, "upper": 1.1}
@@ -352,7 +353,7 @@ class Session:
             port = self.ports[spec.port]
             position = port.get(spec.secondary[0], "position")
             port.put(spec.secondary[0], position=position + 120)
-        # Across the end of the encoder and back.
+        # Move the joint across the end of the encoder's range and back.
         top = line.rows[first.id].max_position
         for position in (top - 5, 4, top - 5, top // 2):
             line.put(first.id, position=position)
@@ -496,7 +497,7 @@ class Session:
 
 
 def shown(value):
-    """Return a text of a value that does not depend on the rounding of its last digits."""
+    """Return a value as text, rounded so that its last digits do not matter."""
     if isinstance(value, float | np.floating):
         return "nan" if math.isnan(value) else f"{value + 0.0:.6g}"
     if isinstance(value, np.ndarray | list | tuple) and not hasattr(value, "_fields"):
@@ -555,7 +556,8 @@ def test_a_session_makes_the_recorded_requests(name):
     assert len(lines) == len(expected)
 
 
-#: Requests of a session over bytes: read, sync read, write, sync write; and their counter.
+#: Numbers of requests in a session over bytes: read, sync read, write, sync write; and the counter
+#: `transactions`.
 COUNTS = {
     "sts": (54, 20, 15, 14, 104),
     "xm": (83, 24, 21, 13, 142),

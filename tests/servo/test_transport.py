@@ -216,7 +216,7 @@ def test_a_command_encoded_with_its_packet_is_the_command_encoded_before_it():
     port.reply = packet(3)
     port.io.read(3, 56, SIZE)
     assert b"".join(port.requests)[2 * size :] == bytes((255, 255, 3, 4, 2, 56, SIZE, 186))
-    # A port that is gone: nothing is recorded.
+    # If the port is gone, the command is not recorded as sent.
     port.stop()
     port.pty.hang_up()
     guard = TransactionGuard(port.io, "p1", baudrate=1_000_000)
@@ -236,7 +236,7 @@ def test_no_reading_is_stored_unless_all_replies_are_valid(at_once):
     group = ServoGroup(port.io.serial, codec, [0, 1], [3, 5])
 
     def read():
-        # A new guard, because a guard first waits for late replies after a failure.
+        # Use a new guard, because after a failure a guard first waits for late replies.
         guard = TransactionGuard(port.io, "p1", baudrate=1_000_000, sample_clock=lambda: 0.01)
         try:
             if at_once:
@@ -376,7 +376,7 @@ def test_a_closed_port_is_free_while_another_thread_starts_a_program(protocol):
     path = os.ttyname(slave)
     os.close(slave)
     opened = RustypotTransport(path, 1_000_000, protocol)
-    # A program that is being started has copies of the descriptors until it runs.
+    # Between fork and exec, a program that is being started has copies of the descriptors.
     copies = [os.dup(number) for number in opened._descriptors]
     opened.close()
     RustypotTransport(path, 1_000_000, protocol).close()
@@ -408,7 +408,7 @@ atexit.register(lambda: print(transport.ping(8)))
 
 @pytest.mark.parametrize("protocol", ["p1", "p2"])
 def test_a_missing_reply_ends_the_wait_although_a_timer_interrupts_it(protocol):
-    # In a program of its own, which can be killed: a wait without end does not return to Python.
+    # Use a separate program, which can be killed: an endless wait would not return to Python.
     program = [sys.executable, "-c", TIMED.format(protocol=protocol)]
     result = subprocess.run(program, capture_output=True, text=True, timeout=30, check=False)
     assert result.stdout.split() == ["False", "timeout", "False"], result.stderr

@@ -58,7 +58,7 @@ def test_the_values_of_the_file_replace_those_of_the_model(bus):
         copy = pickle.loads(pickle.dumps(servo_bus.closed_copy()))  # as the guardian gets it
         assert copy.specs[0].row.model_number == NUMBER
     bus.supply(8.0)
-    # The range of the file ±0.5 V, within the limits in the EEPROM of an XL430 (up to 14 V).
+    # The allowed range is that of the file ±0.5 V, within the EEPROM limits of an XL430 (14 V).
     with (
         pytest.raises(pliant.ServoError, match=r"takes 8\.5 to 14 V"),
         factory.make_bus(arm_config, {"main": bus.port}),

@@ -15,7 +15,7 @@ def arm():
 
 @pytest.fixture
 def floating():
-    """Return a function that runs a plant whose goals follow the arm and carry its weight."""
+    """Return a function that runs a plant whose goals track the arm and compensate gravity."""
 
     def run(plant, ticks):
         for _ in range(ticks):

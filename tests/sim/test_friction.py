@@ -51,7 +51,7 @@ def test_simulated_joint_breaks_away_at_the_friction_of_its_load():
     for torque, moves in ((0.35, False), (0.6, True)):
         plant = Plant(arm, friction=gear)
         plant.reset(VERTICAL)
-        goal = VERTICAL + 0.5 * (np.arange(7) == 0)  # [rad], far: the servo exerts its limit
+        goal = VERTICAL + 0.5 * (np.arange(7) == 0)  # [rad], so far that the servo exerts its limit
         for _ in range(30):
             plant.write(goal, np.full(7, torque))
             plant.advance()

@@ -104,7 +104,7 @@ def test_friction_holds_smaller_torques(arm, grasp):
 
 @pytest.mark.parametrize("kind", ["current", "pwm"])
 def test_speed_of_a_saturated_joint(grasp, kind):
-    """The final speed of an unloaded joint at its torque limit is the limit over the damping."""
+    """The final speed of an unloaded joint at its torque limit is this limit / damping."""
     arm = pliant.robots.arm7(gravity=(0.0, 0.0, 0.0))
     table = pliant.Servos(
         kp=[150.0] * 7,

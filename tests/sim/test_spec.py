@@ -134,4 +134,5 @@ def test_the_missing_extra_is_one_line():
     assert result.returncode == 1
     last = result.stderr.strip().splitlines()[-1]
     assert 'pliant.sim needs the extra "sim": ' in last
-    assert re.search(r" install (--python \S+ )?'pliant\[sim\]'$", last)  # pip, or uv without pip
+    # The command uses pip, or uv if there is no pip.
+    assert re.search(r" install (--python \S+ )?'pliant\[sim\]'$", last)

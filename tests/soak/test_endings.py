@@ -76,7 +76,7 @@ def test_killed_it_is_lowered_by_its_guardian_and_keeps_its_last_order_without(g
         program = start(bus, guardian=guardian)
         height = bus.call("plant.tool.tolist")[2][3]
         program.kill()
-        # The guardian holds stderr of the program until it is done.
+        # The guardian keeps the program's stderr open until it has ended.
         program.communicate(timeout=120)
         if guardian:
             assert not bus.call("has_torque")

@@ -35,9 +35,9 @@ def test_faults_break_no_rule(family, seconds):
     absent = {"lose"} if (family, seconds) == ("sts", 7.0) else set()
     assert set(run.struck) >= set(soak.KINDS) - absent
     assert run.bus["retries"] > 0
-    # A register differs from the written value only after an injected loss of a packet, which is
-    # for all servos. Feetech and Protocol 1.0 servos are all read back in the same cycle, those of
-    # Protocol 2.0 one per cycle.
+    # A register differs from the written value only after the injected loss of a packet, which
+    # contains the values for all servos. Feetech and Protocol 1.0 servos are all read back in one
+    # cycle, Protocol 2.0 servos one per cycle.
     registers = 1 if family == "x" else len(FAMILIES[family].models)
     assert run.bus["mismatches"] <= registers * run.struck["deaf"]
     assert run.telling > 0.3
@@ -52,7 +52,7 @@ def test_forbidden_behaviour_is_detected():
         arm.open()
         audit = bus.log.watch = Audit(bus, machine=False)
         io = arm.drive._ports[0]._io
-        io.sync_write([1], 48, [bytes((232, 3))])  # 1000, with the ceiling at 1000
+        io.sync_write([1], 48, [bytes((232, 3))])  # limit 1000, as high as the ceiling allows
         io.sync_write([2], 42, [bytes((0, 8))])
         io.write(3, 40, b"\x01")
         io.write(4, 9, bytes((10, 0)))

@@ -321,7 +321,7 @@ def test_only_the_tab_that_holds_the_arm_lets_go_when_it_closes(page):
 def served(monkeypatch, recording):
     """Return a page with a scene, and its messages."""
     serve = websockets.asyncio.server.serve
-    monkeypatch.setattr(websockets.asyncio.server, "serve", serve)  # undo what the page replaces
+    monkeypatch.setattr(websockets.asyncio.server, "serve", serve)  # `Page` replaces it
     sent = []
     page = Page(sent.append, "127.0.0.1", 8260)
     page.receive(recording.info)

@@ -1,4 +1,4 @@
-"""Base of robots and teleoperators, and their construction from a configuration."""
+"""Stand-in for LeRobot's base classes of robots and teleoperators, and for their factories."""
 
 from __future__ import annotations
 
