@@ -225,7 +225,7 @@ class Arm:
             atexit.register(self._at_exit)
             self._start_guardian()
             self._is_unfinished = self._is_left_on = False
-            # Accesses to the drive do not restart this timeout until this method returns.
+            # Until this method returns, accesses to the drive do not restart this timeout.
             self._supervisor.heartbeat[1] = ENABLE_TIME
             self._supervisor.owner = os.getpid()
             io.start(start, limit, lead)
@@ -240,7 +240,7 @@ class Arm:
             raise
         self.leads = transfer_weight(io, self._points, start_q, carried, self.rate)
         is_supported = may_lie_on(self.table, self._points, io.q)
-        # The leads of a supply that sags would be taken for wrong servos.
+        # A sagging supply changes the leads as wrong servo parameters do: report only the sag.
         mismatch = supply_sag(io) or stiffness_mismatch(io, self.leads, is_supported=is_supported)
         for text in filter(None, (displacement(io, start_q), mismatch)):
             MESSAGES.post(text, logging.WARNING)

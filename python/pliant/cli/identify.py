@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 Procedure = Literal["servos", "gravity", "payload"]
 #: Motion and duration of each procedure, printed before it starts.
 PROCEDURE_TEXTS = {
-    "servos": "swings every joint about this pose and jumps its goal, about 2 minutes",
+    "servos": "swings every joint about this pose and makes goal steps, about 2 minutes",
     "gravity": "holds the arm where it is, 4 to 9 seconds",
     "payload": "swings the joints slowly about this pose, about 30 seconds",
 }

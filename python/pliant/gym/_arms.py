@@ -102,7 +102,7 @@ class Arms:
         if self._own:
             self._own[row].update(self._settings)
             self._own[row].reset(q)
-        # A new estimator: the filters of a reset one keep rounding errors of the last episode.
+        # Create an estimator: `reset` would leave rounding errors of the last episode in filters.
         self._contact[row] = ContactEstimator(self._controller)
         self._target[row] = self.model.forward_kinematics(q)
         self._softness[row], self._dq[row], self._felt[row] = self._softest, 0.0, 0.0

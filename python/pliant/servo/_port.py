@@ -384,7 +384,7 @@ class Port:
             device.record_sent(device.goal, limit)
 
     def _silent_devices(self) -> list[Device]:
-        """Return the servos with torque on that are silent for so long that they may restart."""
+        """Return the servos with torque on that may have restarted, because they are silent."""
         oldest = self._clock() - self._restart
         return [d for d in self.devices if d.enabled and d.id in self._misses and d.time < oldest]
 
@@ -703,7 +703,7 @@ class StatusPoller:
         return None
 
     def _note_changes(self) -> None:
-        """Find the servos with a fault again, and discard the statuses."""
+        """Update the list of servos with faults or mismatches, and discard the cached statuses."""
         self._seen = self._changes.status
         self._statuses.clear()
         self._doubtful = [

@@ -520,7 +520,7 @@ class ServoBus:
             goal: Expected joint positions (n,) [rad].
             limit: First torque limits (n,) [N·m].
             lead: First goal minus position (n,) [rad] of joints without torque; None: 0. With it, a
-                joint holds its weight at once.
+                joint holds its weight immediately.
 
         Raises:
             ShapeError, ConfigError: A vector is not (n,), not finite or negative.

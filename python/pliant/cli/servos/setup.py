@@ -97,7 +97,7 @@ def run(
 
 
 def _write(ports: _Ports, specs: list[ServoSpec], planned: list[RegisterChange]) -> None:
-    """Write all planned changes; an error of one servo does not prevent those of the others.
+    """Write all planned changes; after an error of one servo, the other servos are still written.
 
     Raises:
         ServoError: Some changes were not written; the message names them.
