@@ -2171,7 +2171,7 @@ class Controller:
     def simd_level(self) -> str:
         """Instruction set of the steps: ``"baseline"``, ``"avx2"`` or ``"avx512"``.
 
-        The widest set of the processor, or that of the environment variable
+        The widest set of the processor, or the set named by the environment variable
         ``PLIANT_INSTRUCTIONS``. Results differ between sets by rounding, below 1e-11 of their size
         away from singular poses, and are bit-identical within a set.
         """
@@ -3276,7 +3276,7 @@ class ServoCodec:
     `configure` must be called for each servo.
 
     Args:
-        servos: Number of servos; those of one joint follow each other.
+        servos: Number of servos; the servos of one joint have consecutive indices.
         joints: Number of joints n.
     """
 

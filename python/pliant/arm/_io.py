@@ -194,7 +194,7 @@ class LowTorqueWarning:
         warnings.warn(
             f"{self._names[joint]} may exert {limit[joint]:.3g} N·m, and this pose needs "
             f"{weight[joint]:.3g}: the arm sinks or falls. Limits are sent as they are; None keeps "
-            "the last limits, those of a Controller carry the weight. arm.lower() brings the arm "
+            "the last limits, a Controller's limits hold the weight. arm.lower() brings the arm "
             "down, arm.disable_torque() lets it fall",
             RuntimeWarning,
             stacklevel=4,

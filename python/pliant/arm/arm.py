@@ -220,7 +220,7 @@ class Arm:
         try:
             if self._signals is not None:
                 self._signals.install()
-            # Register twice: a signal could end the first call before it holds signals back.
+            # Register twice: a signal could end the first call before it defers signals.
             atexit.register(self._at_exit)
             atexit.register(self._at_exit)
             self._start_guardian()
@@ -311,7 +311,7 @@ class Arm:
         try:
             self._close()
         except (KeyboardInterrupt, SystemExit):
-            # A signal came before `_close` held signals back: torque is still on.
+            # A signal came before `_close` deferred signals: torque is still on.
             if self.enabled:
                 self._close()
             raise
@@ -319,7 +319,7 @@ class Arm:
     def _close(self) -> None:
         """Lower the arm or leave it enabled, close the drive, then deliver stored signals.
 
-        If a signal raises before signals are held back, torque is still on, and `close` retries.
+        If a signal raises before signals are deferred, torque is still on, and `close` retries.
         """
         if self._supervisor.is_owned_elsewhere:
             return

@@ -124,7 +124,7 @@ class Servo(StrictModel):
     Attributes:
         model: Name of a servo model, e.g. `STS3215-7.4V` or `XM430-W350`.
         model_number: Content of the register Model Number, if the servo is not in the table of
-            models but has the control table of `model`; None: that of `model`.
+            models but has the control table of `model`; None: the number of `model`.
         no_load: No-load speed at the rated voltage [rpm]; None: that of the servo model.
         voltage: Lowest and highest supply voltage [V]; None: those of the servo model.
         id: Id of the servo on its port.

@@ -426,8 +426,8 @@ class Port:
         """Read several servos with one request; add the indices of plausible ones to `accepted`.
 
         If the request fails, read the servos one by one, the servo that failed last. The reading
-        includes the status registers when `StatusPoller` has used the previous status of every
-        servo, the last one last. This saves a separate status request in each cycle.
+        includes the status registers once `StatusPoller` has used the previous status of the last
+        servo, and so of all. This saves a separate status request in each cycle.
 
         Returns:
             The readings of the joints, if none needs attention and the bus has no other servos.
@@ -626,7 +626,8 @@ class StatusPoller:
         not read back as written: a second reading distinguishes a lost packet from a rejected one.
 
         Returns:
-            The status; None if no reply came, or if the torque state of all servos was read.
+            The status; None if no reply came, or if the torque state of a port's servos was
+            requested instead.
 
         Raises:
             BusError: The port is gone.

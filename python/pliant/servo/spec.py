@@ -87,7 +87,7 @@ class ServoSpec:
         name: Joint name.
         model: Servo model, as `pliant.servo.list_models()` lists them.
         model_number: Register Model Number of a servo that is not in the table of models, but has
-            the control table of `model`; None: that of `model`.
+            the control table of `model`; None: the number of `model`.
         no_load: No-load speed at the rated voltage [rpm]; None: the value of the model.
         voltage: Lowest and highest supply voltage [V]; None: those of the model.
         id: Id on the bus.

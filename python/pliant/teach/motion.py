@@ -49,8 +49,8 @@ class Motion:
         q: Joint positions (N, n) [rad].
         extra: Positions (N,) [rad] of joints outside the chain, such as a gripper, by name.
         note: Comment by the user.
-        start: Position of the tool at the first sample (3,) [m], base axes, by the model of the
-            recorded arm; None: unknown. It serves to detect a different arm with equal joint names.
+        start: Position of the tool at the first sample (3,) [m], base axes, computed with the model
+            of the recorded arm; None: unknown. It reveals a different arm with equal joint names.
 
     Raises:
         ConfigError: Shapes, times or numbers are inconsistent.

@@ -140,7 +140,9 @@ def _assign_id(
     owners = [spec for spec in specs if new in dict(spec.servos)]
     if len(owners) != 1:
         known = ", ".join(f"{n} ({spec.name})" for spec in specs for n, _ in spec.servos)
-        raise ConfigError(f"--set-id: id {new} is not that of one joint; there are {known}")
+        raise ConfigError(
+            f"--set-id: id {new} is not the id of exactly one joint; there are {known}"
+        )
     (spec,) = owners
     with _Ports(arm_config, specs) as ports:
         io = ports[spec.port]
