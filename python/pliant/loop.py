@@ -281,7 +281,7 @@ class Loop:
         duration: Duration of the loop [s]; None: unlimited.
         lateness: Histogram of the lateness of ticks.
         missed: Number of deadlines that were skipped because a tick took too long.
-        missing: Number of ticks without new positions of all joints.
+        missing: Number of periods without a tick, because a joint had no new position.
         rejected: Number of commands that were not sent.
         restarts: Number of resets after a gap; the reset at the start is not counted.
         delay: Median over 50 commands of the time from sampling positions until the servos use the

@@ -40,8 +40,8 @@ class Episode:
 class Task(ABC):
     """A task: the scene of an episode, its start and its measure of progress.
 
-    The reward of a step is the increase of the progress, minus ``force_weight (F / free_force - 1)``
-    per second while the force F on the tool exceeds `free_force`, plus 1 at success, minus 1 at
+    The reward of a step is the increase of progress, minus ``force_weight (F / free_force - 1)``
+    per second while the force F on the tool exceeds `free_force`, plus 1 at success or minus 1 at
     failure.
 
     Attributes:
