@@ -309,8 +309,8 @@ def _send_first_command(
         device: The servo.
         ports: Port of each servo.
         command: Register values that were sent.
-        images: Registers with the position from which the goal was made, and with the speed; and
-            registers after the command was sent.
+        images: Registers from which the goal was made, with position and speed; and registers after
+            the command was sent.
         lead: Goal minus position of a joint without torque [counts].
 
     Returns:

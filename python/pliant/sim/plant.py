@@ -475,6 +475,6 @@ def _split_scene(scene: Iterable[Hand | Fixture]) -> tuple[list[Hand], list[Fixt
         elif hasattr(item, "at"):
             hands.append(item)
         else:
-            known = "a hand (Drag, Push, Wall …) nor a fixture (door(), Surface …) of pliant.sim"
+            known = "a hand (Drag, Push, Wall …) nor a fixture (door(), drawer() …) of pliant.sim"
             raise TypeError(f"scene[{i}] is neither {known}, got {format_value(item)}")
     return hands, fixtures

@@ -171,7 +171,7 @@ class Motion:
             if distance > START_TOLERANCE:
                 raise ConfigError(
                     "the motion is another arm's: its tool began at "
-                    f"{_format_point(self.start)}, that of {model.name} is at "
+                    f"{_format_point(self.start)}, the tool of {model.name} is at "
                     f"{_format_point(tool)} with the same joint positions, {distance:.3f} m away "
                     f"(at most {START_TOLERANCE:g}); give the URDF of the recording, or remove "
                     '"start" from the file'
