@@ -831,7 +831,7 @@ class TransactionGuard:
 
 
 def _mismatch(id: int, block: Block, data: bytes, status: int) -> BusError:
-    """Return the error for a reply whose length is not that of the block.
+    """Return the error for a reply whose length differs from the length of the block.
 
     Either the servo rejected the request, or the reply belongs to an earlier request.
     """
