@@ -398,7 +398,7 @@ class Joint:
     def q_index(self) -> int | None:
         """Index in `q` of the independent joint that moves this one; None if nothing moves it.
 
-        An independent joint has its own index, a mimic joint that of the joint that drives it.
+        An independent joint has its own index, a mimic joint the index of its driving joint.
         """
 
     @property
@@ -437,7 +437,7 @@ class IkResult:
 
 @final
 class Model:
-    """One kinematic chain with all bodies that it carries. Immutable; controllers can share it.
+    """A kinematic chain with all bodies that move with it. Immutable; controllers can share it.
 
     Create it with `Model.from_urdf`, `Model.from_urdf_str` or a function of `pliant.robots`. A
     pickle contains the URDF text and the options.
@@ -1508,7 +1508,7 @@ class Settings:
 
         Args:
             model: The arm.
-            path: Postures (n,) or (N, n) [rad], of which the largest friction is used. None: the
+            path: Postures (n,) or (N, n) [rad]; the largest friction in them is used. None: the
                 median friction over the joint space.
             servos: Servo parameters; None: those of the model.
 
@@ -1631,7 +1631,7 @@ class JointStop:
     def distance(self) -> float:
         """Displacement of the axis at which the limit is met [m, rad].
 
-        Beyond it the stop carries part of a push, which then exceeds the force cap of the axis.
+        Beyond it, the stop supports part of a push, so the push can exceed the axis' force cap.
         """
 
     @property
@@ -1642,7 +1642,7 @@ class JointStop:
     def friction(self) -> float:
         """Friction of the other joints along the axis at the stop [N, N·m].
 
-        inf if they cannot move the axis: the stop then carries all force above the cap.
+        inf if they cannot move the axis: the stop then supports all force above the cap.
         """
 
     def __eq__(self, other: object, /) -> bool: ...
@@ -1662,14 +1662,14 @@ class AxisReport:
 
     @property
     def static_force(self) -> tuple[float, float]:
-        """Largest static push that the present torque limits hold [N, N·m].
+        """Largest static push that the arm resists with the present torque limits [N, N·m].
 
         Negative if the arm cannot hold its own weight.
         """
 
     @property
     def capacity(self) -> tuple[float, float]:
-        """Largest static push that the servos hold at full torque [N, N·m]."""
+        """Largest static push that the arm resists with the servos' full torque [N, N·m]."""
 
     @property
     def yields(self) -> tuple[bool, bool]:
@@ -1787,11 +1787,14 @@ class PoseReport:
 
     @property
     def gravity_margin(self) -> _Array:
-        """Torque limit minus and plus gravity (n, 2) [N·m]; negative: the joint cannot hold."""
+        """Torque limit minus and plus gravity torque (n, 2) [N·m]; negative: the joint sinks."""
 
     @property
     def sigma_min(self) -> float:
-        """Smallest singular value of the task Jacobian, translations over the arm's length."""
+        """Smallest singular value of the task Jacobian.
+
+        Its rows of translations are divided by the arm's length.
+        """
 
     @property
     def condition(self) -> float:
@@ -2050,7 +2053,7 @@ class Controller:
         """Return an initial state of `count` arms for `step_batch`.
 
         The first step of an arm resets it to its positions. A state has 8 (52 + 7 n) bytes per arm:
-        0.81 GB for a million arms of seven joints. `OutOfRangeError`: The memory is too small.
+        0.81 GB for a million arms of seven joints. Raises `OutOfRangeError` if memory is too small.
         """
 
     def reset(self, q: ArrayLike) -> None:
@@ -2072,12 +2075,13 @@ class Controller:
     def set_payload(self, mass: float, com: ArrayLike = (0.0, 0.0, 0.0)) -> None:
         """Set the payload: mass [kg], 0 for none; centre of mass (3,) in the tool frame [m].
 
-        Takes effect at once before the first step, later over half a second, so that a wrong or
-        mistimed payload does not make the arm jump.
+        Before the first step, the change is immediate. Later it takes half a second, so that a
+        wrong or mistimed payload does not make the arm jump.
 
         Raises:
-            OutOfRangeError: The payload is invalid or, with gravity, needs more torque than the
-                servos have anywhere, or twice their torque at the present goals.
+            OutOfRangeError: The payload is invalid. Or, if gravity is compensated: the servos
+                cannot hold it in any sampled posture, or it needs more than twice their torque at
+                the present goals.
             ShapeError: `com` has another shape.
         """
 
@@ -2167,7 +2171,7 @@ class Controller:
     def simd_level(self) -> str:
         """Instruction set of the steps: ``"baseline"``, ``"avx2"`` or ``"avx512"``.
 
-        The widest set of the processor, or that of the environment variable
+        The widest set of the processor, or the set named by the environment variable
         ``PLIANT_INSTRUCTIONS``. Results differ between sets by rounding, below 1e-11 of their size
         away from singular poses, and are bit-identical within a set.
         """
@@ -2399,7 +2403,7 @@ class ContactEstimator:
 
     Raises:
         OutOfRangeError: An option is out of range; or a threshold is below the uncertainty of the
-            arm at rest in a typical pose, with that number.
+            arm at rest in a typical pose, which the message gives.
         ConfigError, ShapeError: No servos, unknown axes, or constants of another length.
     """
 
@@ -2770,8 +2774,8 @@ class Lowering:
     Goals start at their present values and move toward the joints, in proportion to the measured
     lead goal - q, so the arm descends without an exact stiffness or payload. Phases:
 
-    - `rest`: move toward the rest pose, if there is one; leads that are larger than the torque
-      limits allow shrink before, until their joints begin to sink;
+    - `rest`: first reduce each lead that is larger than its torque limit allows until its joint
+      begins to sink; then move toward the rest pose, if there is one;
     - `down`: descend until no joint holds a load;
     - `ramp`: reduce the torque limits to zero, and wait until the arm stands still.
 
@@ -2785,7 +2789,7 @@ class Lowering:
         goal: Last goals sent (n,) [rad]; None: q plus gravity torque divided by k_p.
         limit: Last torque limits sent (n,) [N·m], clamped to the usable torque; None: 1.1 times
             the gravity torque plus `torque_margin`.
-        rest: Rest pose (n,) [rad]; None: descend at once.
+        rest: Rest pose (n,) [rad]; None: do not move to a rest pose first.
         speed: Largest speed of any point of the arm [m/s].
 
     Raises:
@@ -2844,7 +2848,7 @@ if sys.platform != "win32":
         """Open serial port with servos of Protocol 1.0.
 
         Requests release the interpreter lock. Threads may use a port at the same time: each request
-        waits for the end of the one before.
+        waits for the end of the previous one.
 
         Args:
             descriptor: File descriptor of the port; its owner closes it after `close`.
@@ -2889,7 +2893,7 @@ if sys.platform != "win32":
 
     @final
     class ServoGroup:
-        """Servos on one port whose registers one request of Protocol 1.0 reads or writes.
+        """Servos on one port whose registers a single request of Protocol 1.0 reads or writes.
 
         Args:
             port: The port.
@@ -2914,7 +2918,7 @@ if sys.platform != "win32":
                 block: Address and size of the registers.
                 timeout: Longest silence [s].
                 time: Time of the request [s].
-                longest: Age of the last reading above which a reading is not stored [s].
+                longest: Age of the previous reading above which a new one is not stored [s].
                 usual: True: return readings instead of bytes if no reading needs attention (see
                     `ServoCodec.decode`) and `ServoCodec.has_command` is True for all servos.
 
@@ -3272,7 +3276,7 @@ class ServoCodec:
     `configure` must be called for each servo.
 
     Args:
-        servos: Number of servos; those of one joint follow each other.
+        servos: Number of servos; the servos of one joint have consecutive indices.
         joints: Number of joints n.
     """
 
@@ -3314,14 +3318,14 @@ class ServoCodec:
             answers: Bytes from `address` on, and status byte, of each servo.
             address: Address of the first byte.
             time: Time of the request [s].
-            longest: Age of the last reading above which the reading is not stored [s].
+            longest: Age of the previous reading above which the new one is not stored [s].
 
         Returns:
             Place in `servos` and a value, for servos that need attention. True: the reading was
             stored; status or turns are not 0, voltage or temperature has changed, the voltage is
             too low, or the reading is the first or follows `accept_any`. False: the position is
-            implausible, and the reading was not stored. None: the last reading is too old, and the
-            reading was not stored.
+            implausible, and the reading was not stored. None: the previous reading is too old, and
+            the new one was not stored.
 
         Raises:
             ShapeError: The bytes do not contain the position.
@@ -3403,7 +3407,7 @@ class ServoCodec:
 
         The numbers are: position without wrap-around [counts], turns, time [s]; registers of
         voltage and temperature; time of the last voltage that was not too low [s]; number of
-        implausible positions since, and distance of the last one [rad].
+        implausible positions since that reading, and distance of the last one [rad].
         """
 
     def accept_any(self, servo: int, position: float, turns: float, time: float) -> None:
@@ -3420,8 +3424,8 @@ class CommandLimiter:
     limits after torque on. The chain has n of the joints. With gravity torque g, usable torque
     tau_max, stiffness k_p and `torque_margin` m, per joint of the chain:
 
-    ``goal = clip(goal, lower - lead, upper + lead)``, where the lead is ``tau_max / k_p``, or what
-    g needs on that side; ``holding = min(max(1.1 |g| + m, ramp_start), tau_max)``;
+    ``goal = clip(goal, lower - lead, upper + lead)``, where the lead is ``tau_max / k_p``, or the
+    lead that g needs on that side; ``holding = min(max(1.1 |g| + m, ramp_start), tau_max)``;
     ``limit = min(limit, holding + ramp (tau_max - holding), max(thermal ceiling, 1.1 |g|))``.
 
     Limits are then reduced to the current of the supply, but not below 1.1 |g|.
@@ -3506,7 +3510,7 @@ class CommandLimiter:
         dt: float,
         now: float,
     ) -> tuple[State, bool]:
-        """Filter the positions of a reading, and update the heat with the torques since the last.
+        """Filter the positions of a reading, and update the heat by the torques since the last one.
 
         Args:
             positions: Filter of the N joints, which gets the positions of the reading.
@@ -3567,7 +3571,7 @@ class ThermalModel:
         """Temperature at which the torque limit of a servo becomes zero [deg C]."""
 
     def is_too_hot(self, max_heat: float) -> bool:
-        """Return True for a heat above `max_heat`, or a temperature at which a limit is zero."""
+        """Return True if a servo exceeds `max_heat`, or is so hot that its torque limit is zero."""
 
     def set_temperature(self, servo: int, temperature: float) -> None:
         """Store the measured temperature of a servo [deg C]; an index beyond N is ignored."""
@@ -3585,7 +3589,7 @@ class ThermalModel:
 
         Args:
             torque: Expected torques without limits (N,) [N·m].
-            least: Limits that are never reduced (N,) [N·m]: those of the arm's weight.
+            least: Limits (N,) [N·m] that are kept in any case, because the arm's weight needs them.
             limit: Requested limits (N,) [N·m].
         """
 

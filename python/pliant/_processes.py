@@ -71,7 +71,7 @@ def check_real_time_priority(priority: int | None) -> int | None:
 
 
 def end_real_time_priority(pid: int) -> None:
-    """Take its real-time priority from a process that this program has just started.
+    """Remove the inherited real-time priority of a process that this program has just started.
 
     A process inherits the policy of the thread that starts it. Until it calls `lower_priority`, its
     start would otherwise occupy a core for a tenth of a second, and delay the control loop.

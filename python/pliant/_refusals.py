@@ -32,6 +32,6 @@ class Refusals:
         self._next, self._unreported = now + REPORT_PERIOD, 0
 
     def close(self) -> None:
-        """Print the number of refused inputs without a message, because of the bounded rate."""
+        """Print the number of refused inputs that got no message because of the bounded rate."""
         if self._unreported:
             print(f"{self._unreported} more {self._what}s were refused", file=sys.stderr)

@@ -63,7 +63,7 @@ class Clock(Protocol):
         """Return the present time of the clock [s], which never decreases."""
 
     def wait_until(self, deadline: float) -> None:
-        """Wait until the clock shows `deadline` [s]; return at once if that time has passed."""
+        """Wait until the clock shows `deadline` [s]; return immediately if it has passed."""
 
 
 class Drive(Protocol):

@@ -267,12 +267,12 @@ class Loop:
             without the thread; None: `arm.comm_timeout`.
         recorder: A `pliant.log.Recorder`, or an object with its `start`, `add` and `close`, which
             receives every tick with its command. The loop starts it, and closes it at the end. In
-            real time, an arm with torque waits for that 0.1 s at most; the rest is done while the
-            arm is lowered, and `Arm.close` waits for it once torque is off.
+            real time, while the arm has torque, the loop waits for this for at most 0.1 s. Closing
+            then continues while the arm is lowered, and `Arm.close` waits for it after torque off.
         realtime_priority: Priority (1 to 99) with the scheduling policy SCHED_FIFO of the thread
             that iterates, and of threads started in the loop, until the loop ends (Linux). Other
-            programs then do not delay ticks, but a program that never waits in a tick delays them.
-            None: no real-time scheduling.
+            programs then do not delay ticks, but your program delays them if it does not wait
+            between ticks. None: no real-time scheduling.
 
     Attributes:
         controller: Controller to step; with a recorder, a wrapper that records its calls. Pass this
@@ -281,7 +281,7 @@ class Loop:
         duration: Duration of the loop [s]; None: unlimited.
         lateness: Histogram of the lateness of ticks.
         missed: Number of deadlines that were skipped because a tick took too long.
-        missing: Number of ticks without new positions of all joints.
+        missing: Number of periods without a tick, because a joint had no new position.
         rejected: Number of commands that were not sent.
         restarts: Number of resets after a gap; the reset at the start is not counted.
         delay: Median over 50 commands of the time from sampling positions until the servos use the
@@ -490,7 +490,7 @@ class Loop:
     def _wait_no_longer_than(self, ages: Array, longest: float) -> None:
         """Raise `ServoTimeoutError` if a position is older than `longest` [s].
 
-        `ages` are those of the positions (n,) [s].
+        `ages` are the ages of the positions (n,) [s].
         """
         if ages.max() > longest:
             joints = self._arm.model.joint_names

@@ -298,7 +298,7 @@ def test_a_servo_gets_an_id_of_its_own(model, tmp_path, capsys, monkeypatch):
         for pair, message in [
             ("1", "OLD:NEW"),
             ("1:1", "the same"),
-            ("1:77", "id 77 is not that of one joint"),
+            ("1:77", "id 77 is not the id of exactly one joint"),
             ("1:2", "answers to id 2 already"),
             ("9:5", "no answer: is it powered? `pliant servos scan` lists"),
         ]:

@@ -22,7 +22,7 @@ def arm():
 @pytest.mark.parametrize(
     ("change", "kind", "message"),
     [
-        ({"path": 3}, TypeError, r"path must be that of a file, got 3 \(int\)"),
+        ({"path": 3}, TypeError, r"path must be the path of a file, got 3 \(int\)"),
         ({"config": "so101"}, TypeError, "config must be what pliant.config.load gives"),
         ({"note": 5}, TypeError, "note must be a str"),
     ],

@@ -56,7 +56,7 @@ class Snapshot:
 class ControlThread:
     """Runs a `pliant.Loop` with a behavior until `stop`.
 
-    If the loop ends with an error, the thread acts as `on_exit` says at once, and `snapshot`
+    If the loop ends with an error, the thread immediately acts as `on_exit` says, and `snapshot`
     raises.
 
     Args:

@@ -68,7 +68,7 @@ class BiPliantFollower(Robot):
 
     @property
     def is_connected(self) -> bool:
-        """True if an arm is connected, so that `disconnect` must be called."""
+        """True if at least one arm is connected; `disconnect` must then be called."""
         return any(arm.is_connected for arm in self._arms.values())
 
     @property

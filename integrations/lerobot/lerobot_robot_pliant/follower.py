@@ -107,7 +107,7 @@ class PliantFollower(Robot):
 
     A thread runs a `pliant.teleop.JointFollower` at 100 Hz, and holds the last target until the
     next action. `disconnect` lowers the arm. If the control loop fails, the thread lowers the arm
-    at once, and the next call raises an error.
+    immediately, and the next call raises an error.
     """
 
     config_class = PliantFollowerConfig

@@ -27,8 +27,8 @@ LOG = logging.getLogger(__name__)
 APPROACH_SPEED = 0.5
 #: Longest duration of the oscillation in which hand guiding measures the friction [s].
 SWING_TIMEOUT = 30.0
-#: Speed of the imagined motion from the last position of hand guiding to the one to which a policy
-#: has moved the arm [rad/s].
+#: Speed of a fictitious hand motion [rad/s] from the last position of hand guiding to the position
+#: to which a policy has moved the arm.
 CATCH_UP_SPEED = 1.0
 #: Time at rest at the end of that motion [s].
 CATCH_UP_REST = 0.3

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from pliant._typing import Array
 
 
-#: Message where an arm is used that is not enabled.
+#: Error message if an arm is used before it is enabled.
 TORQUE_OFF = "torque is off, or was left on: use `with connect(...) as arm`, or arm.enable()"
 #: Type of joint vectors.
 FLOAT = np.dtype(np.float64)

@@ -35,8 +35,8 @@ SIZE = 16
 class Guardian:
     """Process that lowers the arm if the program ends with torque on.
 
-    The process starts at once, and imports its modules while the program does other work. It runs
-    in its own session, so that signals of a terminal do not reach it. `close` ends it; without
+    The constructor starts the process, which imports its modules while the program continues. It
+    runs in its own session, so that signals of a terminal do not reach it. `close` ends it; without
     `watch`, it also ends with the program.
 
     Args:
@@ -152,7 +152,7 @@ def beat_all() -> None:
 
     The guardian of an arm whose descent failed must not kill a program that lowers another arm.
     """
-    # A guardian that another thread starts meanwhile ends the iteration; the next call beats.
+    # The iteration fails if another thread adds a guardian; the next call sends the heartbeat.
     with suppress(RuntimeError):
         for guardian in _running:
             guardian._supervisor.beat()

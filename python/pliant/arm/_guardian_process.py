@@ -129,8 +129,8 @@ def watch(program: Program, line: Connection) -> tuple[Arm, str] | None:
             after torque off.
 
     Returns:
-        The arm, and the reason for lowering it in this process; None if the program has ended
-        its use of the arm.
+        The arm, and the reason for lowering it in this process; None if the program ended, or
+        closed the connection, while there was no arm to watch.
     """
     arm: Arm | None = None
     is_open = True

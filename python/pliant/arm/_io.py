@@ -194,7 +194,7 @@ class LowTorqueWarning:
         warnings.warn(
             f"{self._names[joint]} may exert {limit[joint]:.3g} N·m, and this pose needs "
             f"{weight[joint]:.3g}: the arm sinks or falls. Limits are sent as they are; None keeps "
-            "the last limits, those of a Controller carry the weight. arm.lower() brings the arm "
+            "the last limits, a Controller's limits hold the weight. arm.lower() brings the arm "
             "down, arm.disable_torque() lets it fall",
             RuntimeWarning,
             stacklevel=4,
@@ -205,9 +205,10 @@ class LowTorqueWarning:
 #: and after a time without commands [s].
 RAMP_TIME = 0.5
 
-#: Time without a position after which a joint counts as silent, and is reported off the chain [s].
+#: Time without a position [s] after which a joint of the chain counts as silent, and after which a
+#: joint off the chain is reported as silent.
 SILENCE, EXTRA_SILENCE = 0.2, 1.0
-#: Number of reads in which the joints of an ended program should answer at least once.
+#: Largest number of reads until all joints of an arm with torque, from an ended program, answer.
 RESUME_READS = 5
 
 
@@ -253,7 +254,7 @@ class ArmIO:
         self._ramp_start: float = -math.inf
         self._min_limit: Array = np.zeros(model.n)
         self._last_update = math.nan
-        # Last goals [rad] and torque limits [N·m] of all joints (N,), and True once they were sent.
+        # Last goals [rad] and torque limits [N·m] of all joints (N,); True once they were sent.
         self._goals, self._limits, self._is_sent = np.zeros(size), np.zeros(size), False
         # Read-only arrays (N,): states hold views of them, so a change creates a new array.
         self._voltage = self._temperature = _with_entry(np.full(size, np.nan), 0, np.nan)
@@ -333,8 +334,8 @@ class ArmIO:
     def unfit_joints(self, now: float) -> list[str]:
         """Return the names of the joints of the chain that may not follow their goals.
 
-        They are silent while others answer, or have a fault or a temperature that leaves them
-        little torque or none.
+        They are silent while others answer, report a fault, or are so hot that their torque limit
+        is zero.
         """
         is_silent = now - self.positions.time > SILENCE
         has_fault = self.thermal.temperature >= self.thermal.zero_torque_temperature
@@ -395,9 +396,9 @@ class ArmIO:
         self._last_access = self._last_position = self.clock.now()
 
     def _rearm_after_silence(self) -> None:
-        """Rearm the servos' watchdogs, which may have tripped, after half their time of silence.
+        """Rearm the servos' watchdogs if the bus was silent for more than half the watchdog time.
 
-        After a shorter silence, do nothing.
+        They may have tripped meanwhile.
         """
         if self.clock.now() - self._last_access > 0.5 * self._watchdog:
             self._rearm()

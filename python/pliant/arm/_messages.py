@@ -81,7 +81,7 @@ class MessageQueue:
     def flush(self, within: float = FLUSH_TIMEOUT) -> None:
         """Wait until all messages are written, at most `within` [s].
 
-        If the last call has timed out and its last message is still not written, return at once.
+        Return immediately if the last call timed out and its last message is still not written.
         """
         last = self._last
         if last is None or (self._blocked is not None and not self._blocked.is_written):

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
 #: Shortest time between two progress messages of a descent, the lowering of the arm [s].
 PROGRESS = 1.0
-#: Duration of a descent from which on a message tells what it waits for, and time between two such
-#: messages [s]; by then, an arm that stands still has been released.
+#: Duration of a descent after which a message asks the user to free the arm, and time between two
+#: such messages [s]. The descent of an arm that stands still ends earlier.
 LONG_DESCENT, REMINDER_PERIOD = 45.0, 60.0
 #: Minimum rate of the control loop of a descent [Hz]; a slow bus may still make it slower.
 MIN_RATE = 20.0
@@ -70,7 +70,7 @@ class ExitMessages:
         self._next_reminder = LONG_DESCENT
         self._abort = "Ctrl-C twice leaves"
         self._known_faults: set[str] | None = None
-        # Beginnings of the texts of new faults, the joints' names, by the remainder of the texts.
+        # Names of the joints with a new fault, by the text of the fault.
         self._new_faults: dict[str, list[str]] = {}
 
     def begin(self, *, interrupted: bool = False, abort: str | None = None) -> Message:
@@ -253,7 +253,7 @@ class ExitMessages:
 
 
 def _kinds(faults: Sequence[str]) -> set[str]:
-    """Return the texts of faults without their numbers, which change from one to the next."""
+    """Return the texts of faults without their numbers, which differ from reading to reading."""
     return {re.sub(r"[\d.]+", "", text) for text in faults}
 
 

@@ -7,7 +7,7 @@
   arm is down.
 - Only SIGINT aborts a descent. This takes a second SIGINT, at least `REPEAT_TIME` after the
   previous SIGINT, and after the message that tells the user what it does. If the descent hangs, a
-  third SIGINT, `HANG_TIMEOUT` after the second, raises `SystemExit` at once.
+  third SIGINT, `HANG_TIMEOUT` after the second, raises `SystemExit` immediately.
 """
 
 from __future__ import annotations

@@ -40,7 +40,7 @@ SAG = 0.85
 LARGEST_WEIGHT = 2.0
 #: Largest distance of the surface of a link from the points of the arm [m].
 LINK_RADIUS = 0.03
-#: Number of readings whose fastest counts, and largest share of `longest_command_age` that it may
+#: Number of timed readings, and largest share of `longest_command_age` that the fastest of them may
 #: take: the rest is for the program and for other requests.
 READINGS, READING_SHARE = 3, 0.7
 
@@ -101,7 +101,8 @@ def check_reading_time(io: ArmIO, duration: float, rate: float, *, required: boo
             f"reading all joints takes {duration * 1e3:.0f} ms, at most {longest * 1e3:.0f} ms are "
             f"allowed at {rate:g} Hz: torque stays off. Often the latency timer of the adapter is "
             "16 ms: set it to 1 ms (docs/troubleshooting.md; `pliant servos doctor ARM` reports "
-            f"it), or set [loop] rate, or that of pliant.connect, to {0.5 / duration:.2g} Hz"
+            f"it), or reduce the rate, [loop] rate or pliant.connect(rate=...), to "
+            f"{0.5 / duration:.2g} Hz"
         )
     if duration <= 1.0 / rate:
         return None
@@ -135,7 +136,7 @@ def check_within_limits(io: ArmIO, on: Mask) -> None:
 
 
 def check_weight(io: ArmIO, on: Mask) -> None:
-    """Check before torque is switched on that the weight of the model is one that servos may carry.
+    """Check before torque is switched on that the model is not far too heavy for its servos.
 
     Joints with torque on, of the mask `on` (n,), are not checked: taking them over must not fail.
 
@@ -161,10 +162,11 @@ def initial_commands(io: ArmIO, on: Mask) -> tuple[Array, Array, Array, Mask]:
     """Return first goals, limits, leads (n,), and a mask (n,) of joints taken over.
 
     Goals and leads are in rad, limits in N·m. Joints without torque get their present positions as
-    goals, and a lead with which they exert their limit, about the gravity torque: without it, they
-    would sink until the first goal of the weight transfer. The other leads are 0. Joints with
-    torque are taken over: they keep the goals and limits in their registers. Joints with unknown
-    registers get a limit of about the gravity torque.
+    goals, and a lead: with known stiffness the lead that holds the weight, otherwise one with which
+    they exert their limit, about the gravity torque. Without a lead, they would sink until the
+    first goal of the weight transfer. Joints with torque have no lead and are taken over: they keep
+    the goals and limits in their registers. If the registers are unknown, a joint with torque is
+    not taken over, and gets a limit of about the gravity torque.
 
     Args:
         io: Read and write access to the arm.
@@ -210,7 +212,7 @@ def displacement(io: ArmIO, start_q: Array) -> str | None:
 
 
 def supply_sag(io: ArmIO) -> str | None:
-    """Return a warning if the supply voltage has changed much since torque came on, or None."""
+    """Return a warning if the supply voltage changed much while torque came on, or None."""
     low, high = io.voltage_range
     changed = np.flatnonzero(low < SAG * high)
     if not changed.size:
@@ -218,8 +220,8 @@ def supply_sag(io: ArmIO) -> str | None:
     worst = changed[np.argmin(low[changed])]
     return (
         f"the supply voltage of {io.joints.names[worst]} was between {low[worst]:.1f} and "
-        f"{high[worst]:.1f} V while torque came on: leads that carry the arm at one voltage do "
-        "not at another, so it rises or sinks by centimetres as the voltage changes; repair "
+        f"{high[worst]:.1f} V while torque came on: leads that hold the arm at one voltage do not "
+        "hold it at another, so it rises or sinks by centimetres as the voltage changes; repair "
         "supply and cable, then switch torque on again"
     )
 
@@ -242,8 +244,8 @@ def stiffness_mismatch(io: ArmIO, leads: Array, *, is_supported: bool = False) -
     Args:
         io: Read access to the arm, at rest.
         leads: Leads that hold the joints, from `transfer_weight` (n,) [rad].
-        is_supported: True if the arm may lie on an object, which carries part of its weight. Only
-            leads that are too large then tell about the servos.
+        is_supported: True if the arm may lie on an object, which supports part of its weight. Only
+            leads that are too large are then reported.
     """
     servos, weight = io.servos, io.gravity()
     expected = weight / np.asarray(servos.kp)

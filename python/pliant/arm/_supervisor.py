@@ -32,7 +32,7 @@ MADV_WIPEONFORK = 18
 def _not_forked() -> Sequence[int]:
     """Return a sequence whose entry 0 is true only in the process that has imported this module.
 
-    Unlike `os.getpid`, reading it is no system call. It is also right if C code has forked. On
+    Unlike `os.getpid`, reading it needs no system call. It is also right if C code has forked. On
     other systems than Linux it is always 0.
     """
     if sys.platform != "linux":
@@ -180,9 +180,9 @@ class Supervisor:
         """Run a watchdog thread that calls `leave` after `timeout` [s] without access to the drive.
 
         The context yields a function that raises as `check` does, or if another such context has
-        begun. With `timeout` None, no thread runs. The thread survives an exception, because the
-        program may block before it lowers the arm. It ends with `end_supervision`, with the next
-        `supervised`, or after the call of `leave`.
+        begun. With `timeout` None, no thread runs. The thread ends with the context. If an
+        exception ends the context, the thread continues until `end_supervision`, the next
+        `supervised` or the call of `leave`, because the program may block before it lowers the arm.
         """
         self.end_supervision()
         done = self._done = threading.Event()

@@ -62,13 +62,14 @@ SHRINK_TIME, SHRINK_SPEED, MIN_LEAD = 0.4, 0.15, 0.002
 MIN_CHANGE, MAX_COUNT = 1e-6, 0.006
 #: Displacement above which a joint counts as sinking [rad]; two encoder steps if these are larger.
 SINKING = 0.002
-#: The lead of a sinking joint holds it at a torque of ``(1 + FOUND_SHARE) τ + FOUND_FRICTION f``,
-#: with the torque τ of the balance and the friction f, or at `USABLE_SHARE` of the usable torque.
+#: The lead of a joint counts as found if the joint sinks at a torque of
+#: ``(1 + FOUND_SHARE) τ + FOUND_FRICTION f`` or more, with the torque τ of the balance and the
+#: friction f, or at `USABLE_SHARE` of the usable torque if that is less.
 FOUND_FRICTION, FOUND_SHARE, USABLE_SHARE = 2.5, 0.1, 0.98
-#: Longest wait of the lead of a sinking joint for this torque [s], and the speed at which the lead
-#: shrinks after the wait [rad/s].
+#: Longest time for which the lead of a sinking joint stays constant until this torque is reached
+#: [s], and the speed at which the lead shrinks afterwards [rad/s].
 MAX_WAIT, SLOW_SHRINK_SPEED = 0.3, 0.02
-#: Largest increase of the lead once a joint was found to sink [rad].
+#: Largest increase of a lead when it is found, to its value before the joint began to sink [rad].
 MAX_BACK = 0.005
 #: Time in which the torque limit of a joint that continues to sink rises from zero to the maximum
 #: of the servo [s].
@@ -79,8 +80,8 @@ SETTLE_TIME = 0.2
 #: Return of a joint to its first position: gain [1/s] and largest speed [rad/s] of its goal. The
 #: goal waits while the joint is faster than `RETURNING` [rad/s].
 RETURN_GAIN, RETURN_SPEED, RETURNING = 8.0, 0.1, 0.03
-#: Time constant of the mean position that returns [s]: the return of the present position would
-#: increase the swing of an arm on its servos.
+#: Time constant of the mean position, which also limits the return of a joint [s]: a return by the
+#: present position alone would increase the oscillation of an arm on its servos.
 MEAN_TIME = 0.3
 #: A joint has returned within `RETURNED` [rad] (at least 0.6 encoder steps) of its first position.
 #: Leads stop shrinking after `MAX_TIME` [s]; joints may return for another `RETURN_TIME` [s].
@@ -88,14 +89,14 @@ RETURNED, MAX_TIME, RETURN_TIME = 1.5e-4, 5.0, 1.0
 #: Time without a position of a joint after which the arm gets goals and limits that hold it at
 #: rest, and time after which the weight transfer ends with an error [s].
 STALE, MAX_SILENCE = 0.03, 0.5
-#: Assumed time constant with which the stiffness of the servos brakes joints in that time [s].
+#: Assumed time constant with which these goals brake the joints [s].
 BRAKE_TIME = 0.03
 
 
 def transfer_weight(
     io: ArmIO, points: ArmPoints, start_q: Array, taken: Mask, rate: float
 ) -> Array:
-    """Transfer the weight of a standing arm to its servos, and measure the leads that carry it.
+    """Transfer the weight of a standing arm to its servos, and measure the leads that hold it.
 
     The torque limits first balance the arm, also with an unknown load. Then the stiffness of the
     servos takes over, see `_WeightTransfer`.
@@ -120,8 +121,8 @@ def transfer_weight(
 class _DisturbanceObserver:
     """Motion of the joints, and the acceleration that the model does not explain.
 
-    Each joint is ``ẍ = u + d`` with a known input u [rad/s²] and an unknown constant d. The
-    estimate is that at the last reading; `predict` extrapolates it with later inputs. The gains are
+    The model of each joint is ``ẍ = u + d`` with a known input u [rad/s²] and an unknown constant
+    d. The estimate is for the time of the last reading; `predict` extrapolates it. The gains are
     those of the critically damped filter of third order (Brookner 1998, 2.4), or those of least
     squares over all readings since the start at rest with d unknown, whichever are larger.
 
@@ -215,7 +216,7 @@ class _WeightTransfer:
         )
         self._set_load(LEAST_LOAD)
         self._first = io.limit
-        # Joints that were taken over hold positions and do not exert the torque of the balance.
+        # Joints with torque on already hold positions and do not exert the torque of the balance.
         self._follows = ~taken
         self._heard = self._tick = io.clock.now()
         self._observer = _DisturbanceObserver(
@@ -239,15 +240,15 @@ class _WeightTransfer:
     def _hold(self) -> None:
         """Send goals and limits that hold the joints near their last positions for a while.
 
-        The torque limits of the balance would accelerate an arm that is not watched; a lead that
-        is not larger than needed holds it by the stiffness of its servos.
+        Without readings, the torque limits of the balance would accelerate the arm; a lead that is
+        not larger than needed lets the stiffness of the servos hold it.
         """
         io, taken = self._io, self._taken
         torque = np.clip(self._weight - self._inertia @ self._observer.d, *self._bounds)
         lead = np.where(np.isfinite(self._found), self._found, torque / self._kp)
         limit = np.minimum(SUPPORT * np.abs(torque) + 2.0 * self._friction, self._usable)
         io.send(np.where(taken, io.goal, io.q + lead), np.where(taken, io.limit, limit))
-        # Tell the observer, which would else assume the torques of the balance.
+        # Pass the braking to the observer, which would otherwise assume the torques of the balance.
         now = io.clock.now()
         _, v = self._observer.predict(now)
         self._observer.send(now, -self._observer.d - np.where(self._follows, v / BRAKE_TIME, 0.0))
@@ -260,7 +261,7 @@ class _WeightTransfer:
             clock.wait_until(self._tick)
             if (ok := io.sample()).all():
                 break
-            # Without positions, a sinking joint looks like a rising one: no balance meanwhile.
+            # No balance without positions: a sinking joint cannot be told from a rising one.
             if clock.now() - self._heard > MAX_SILENCE:
                 raise ServoTimeoutError(
                     f"no position of {_joint_names(io, ~ok)} for {MAX_SILENCE:g} s while torque "
@@ -315,7 +316,7 @@ class _WeightTransfer:
         return not -SINK - step <= height <= RISE + step
 
     def _apply(self, goal: Array, torque: Array, limit: Array) -> None:
-        """Send goals and limits (n,), except to joints taken over; pass torques to the observer.
+        """Send goals and limits (n,), but not to joints in `taken`; pass torques to the observer.
 
         `torque` are the torques (n,) [N·m] that the joints are assumed to exert.
         """
@@ -324,7 +325,10 @@ class _WeightTransfer:
         self._observe(torque)
 
     def _observe(self, torque: Array) -> None:
-        """Pass the torques (n,) [N·m] to the observer; joints that were taken over are at rest."""
+        """Pass the torques (n,) [N·m] to the observer.
+
+        Joints whose torque was on before `enable` are assumed to stand still (u = -d).
+        """
         u = self._inverse @ (torque - self._weight)
         self._observer.send(self._heard, np.where(self._follows, u, -self._observer.d))
 
@@ -383,7 +387,7 @@ class _WeightTransfer:
             carried = (sunk > sinking) & (torque * up > enough)
             late = late | (shrinking & ~carried & (passed > MAX_TIME))
             held = shrinking & (carried | late)
-            # Increase the lead to that before the joint began to sink.
+            # Increase the lead to its value before the joint began to sink.
             back = np.minimum(np.abs(carrying - lead), MAX_BACK)
             lead = np.where(held, lead + up * back, lead)
             found = np.where(held, lead, found)

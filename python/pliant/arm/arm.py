@@ -220,12 +220,12 @@ class Arm:
         try:
             if self._signals is not None:
                 self._signals.install()
-            # Register twice: a signal could end the first call before it holds signals back.
+            # Register twice: a signal could end the first call before it defers signals.
             atexit.register(self._at_exit)
             atexit.register(self._at_exit)
             self._start_guardian()
             self._is_unfinished = self._is_left_on = False
-            # Accesses to the drive do not restart this timeout until this method returns.
+            # Until this method returns, accesses to the drive do not restart this timeout.
             self._supervisor.heartbeat[1] = ENABLE_TIME
             self._supervisor.owner = os.getpid()
             io.start(start, limit, lead)
@@ -240,7 +240,7 @@ class Arm:
             raise
         self.leads = transfer_weight(io, self._points, start_q, carried, self.rate)
         is_supported = may_lie_on(self.table, self._points, io.q)
-        # The leads of a supply that sags would be taken for wrong servos.
+        # A sagging supply changes the leads as wrong servo parameters do: report only the sag.
         mismatch = supply_sag(io) or stiffness_mismatch(io, self.leads, is_supported=is_supported)
         for text in filter(None, (displacement(io, start_q), mismatch)):
             MESSAGES.post(text, logging.WARNING)
@@ -311,7 +311,7 @@ class Arm:
         try:
             self._close()
         except (KeyboardInterrupt, SystemExit):
-            # A signal came before `_close` held signals back: torque is still on.
+            # A signal came before `_close` deferred signals: torque is still on.
             if self.enabled:
                 self._close()
             raise
@@ -319,7 +319,7 @@ class Arm:
     def _close(self) -> None:
         """Lower the arm or leave it enabled, close the drive, then deliver stored signals.
 
-        If a signal raises before signals are held back, torque is still on, and `close` retries.
+        If a signal raises before signals are deferred, torque is still on, and `close` retries.
         """
         if self._supervisor.is_owned_elsewhere:
             return

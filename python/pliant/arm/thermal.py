@@ -67,8 +67,8 @@ def thermal_faults(
     Args:
         thermal: Thermal model of the N servos.
         names: Joint names (N,).
-        temperature: Measured temperatures (N,) [°C]; those of the model are higher by the
-            difference of `Budget.hottest` and a lower limit of the servo.
+        temperature: Measured temperatures (N,) [°C]. If the limit of a servo is below
+            `Budget.hottest`, its temperature in `thermal` is higher by the difference.
     """
     faults = []
     limits = thermal.zero_torque_temperature + np.subtract(temperature, thermal.temperature)

@@ -61,7 +61,7 @@ class Keyboard:
         return pressed
 
     def discard(self) -> None:
-        """Discard lines that were typed before a question is shown; keep those of a script."""
+        """Discard lines that were typed before a question is shown; keep the lines of a script."""
         if sys.stdin is not None and sys.stdin.isatty():
             self.pressed()
 

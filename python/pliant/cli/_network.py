@@ -1,4 +1,4 @@
-"""Control of an arm by the network, shared by `pliant ros` and `pliant foxglove`."""
+"""Control of an arm over the network, shared by `pliant ros` and `pliant foxglove`."""
 
 from __future__ import annotations
 

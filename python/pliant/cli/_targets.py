@@ -129,7 +129,7 @@ MAX_LINE = 4096
 READ_SIZE = 65536
 #: Pause after each read of a pipe [s].
 READ_PAUSE = 0.001
-#: Number of lines from which a message says that a file is checked, which takes seconds.
+#: Number of lines above which a message says that the file is being checked, which takes seconds.
 MANY_TARGETS = 50_000
 #: Maximum number of datagrams read per control cycle.
 MAX_DATAGRAMS = 256
@@ -224,7 +224,7 @@ class TargetParser:
 
 
 class StreamTargets(NoTargets):
-    """Targets of a pipe, such as standard input; a thread reads it and keeps the newest line.
+    """Targets read from a pipe, such as standard input; a thread keeps the newest line.
 
     Args:
         pipe: File descriptor. It is read without Python's buffered reader, whose lock would be held
@@ -268,7 +268,7 @@ class StreamTargets(NoTargets):
 
 
 class UdpTargets(NoTargets):
-    """Targets of UDP datagrams from this machine; only the loopback interface is open."""
+    """Targets received in UDP datagrams; listens on 127.0.0.1 only."""
 
     def __init__(self, port: int, model: Model) -> None:
         self._model = model

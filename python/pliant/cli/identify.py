@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 Procedure = Literal["servos", "gravity", "payload"]
 #: Motion and duration of each procedure, printed before it starts.
 PROCEDURE_TEXTS = {
-    "servos": "swings every joint about this pose and jumps its goal, about 2 minutes",
+    "servos": "swings every joint about this pose and makes goal steps, about 2 minutes",
     "gravity": "holds the arm where it is, 4 to 9 seconds",
     "payload": "swings the joints slowly about this pose, about 30 seconds",
 }
@@ -116,7 +116,8 @@ def _servo_lines(
 ) -> list[str]:
     """Return TOML lines for the table [servo]: measured stiffness, friction and damping.
 
-    A joint whose stiffness is not identified keeps its `kp`. `gains` are those of the servos.
+    A joint whose stiffness is not identified keeps its `kp`. `gains` maps joint names to the gain
+    registers as read from the servos.
     """
     if not arm_config.servo:
         return ["", "# the file has no table [servo]: the built-in servos cannot be changed"]
@@ -135,7 +136,7 @@ def _servo_lines(
         lines.append(f"{joint} = {_toml(entry)}")
     if not known.all():
         unknown = [name for i, name in enumerate(identification.joint_names) if not known[i]]
-        lines.append(f"# kp of {', '.join(unknown)} is not known within 10 %: no line has it")
+        lines.append(f"# kp of {', '.join(unknown)} is not known within 10 %, and unchanged here")
     return lines
 
 

@@ -54,7 +54,8 @@ def run(
         soft: Axes that yield: "y yaw" with the arm's default caps, "y=2 z=5" with caps of 2 and 5 N
             (N·m for roll, pitch, yaw). The other axes keep their settings.
         targets: Source of targets: a file with one target per line and control cycle, - for
-            standard input, or udp:PORT for datagrams on this machine. Default: the arm holds.
+            standard input, or udp:PORT for datagrams on this machine. Default: the arm holds its
+            pose.
         duration: Time after which the command ends [s].
         override: Values that replace those of the configuration file.
         log: MCAP file to write (needs the extra log).

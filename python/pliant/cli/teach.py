@@ -50,8 +50,9 @@ def run(
     Args:
         arm: Configuration file, or the name of a ready one (so101, koch, vx300s, ...).
         motion: Motion file. The command writes it; its name ends with .json.
-        by: Start and end of the recording. rest: it starts at once and ends when the arm has rested
-            for 3 s. enter: the Enter key. gripper: a gripper that is pressed shut.
+        by: Start and end of the recording. rest: it starts as soon as the arm is ready, and ends
+            when the arm has rested for 3 s. enter: at the Enter key. gripper: when a hand presses
+            the gripper shut.
         duration: Time after which the command ends [s]. It counts from the start of the recording.
         scripted_hand: On a simulated arm (sim, emulator), let a scripted hand lead the tool.
         bounds: Maximum speed [rad/s], acceleration [rad/s²] and jerk [rad/s³] of every joint (needs

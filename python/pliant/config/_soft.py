@@ -66,7 +66,7 @@ def _parse_caps(soft: str, task: Task, option: str) -> dict[str, float | None]:
             raise ConfigError(f"{option} {word}: a cap is a number from 0 up, got {cap:g}")
         for axis in Task(axes=name).names:
             if axis in caps:
-                raise ConfigError(f"{option} {soft!r} names {axis} twice: one cap an axis")
+                raise ConfigError(f"{option} {soft!r} names {axis} twice: one cap per axis")
             caps[axis] = cap
     return caps
 

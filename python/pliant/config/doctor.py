@@ -212,8 +212,9 @@ def _gains(chain: ServoBus, config: Config) -> Iterator[Diagnosis]:
             yield Diagnosis(
                 "note",
                 joint,
-                f"its P gain is {gains[joint]}, the file says {servo.gain}: the arm follows the "
-                f"servo; with `gain = {gains[joint]}` in [servo] the simulator does too",
+                f"its P gain is {gains[joint]}, the file says {servo.gain}: the controller uses "
+                f"the servo's value, and with `gain = {gains[joint]}` in [servo] so does the "
+                "simulator",
             )
 
 

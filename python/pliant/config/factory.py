@@ -112,8 +112,8 @@ def connect(
         port: Serial device, overrides the file; or `"auto"`.
         urdf: URDF file, overrides the file.
         calibration: LeRobot calibration file, overrides the file.
-        q: Initial joint positions (n,) [rad] of a simulated or emulated arm; None: near zero,
-            clear of the table.
+        q: Initial joint positions (n,) [rad] of a simulated or emulated arm; None: zero within the
+            limits, or the rest pose if the arm would then be inside the table.
         real_time: True runs the simulator in real time, False as fast as possible.
         **options: Options of `pliant.Arm`, which override the file; with ``backend="sim"`` also of
             `pliant.sim.Plant` (``scene=[...]``). `table` is the height of the table [m], or False

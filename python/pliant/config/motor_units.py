@@ -65,7 +65,7 @@ def motor_units(config: Config, model: Model, *, use_degrees: bool = True) -> di
     """Return the conversion of each motor of a configuration by joint name, the gripper last.
 
     Ranges come from the calibration file. Without a calibration, the range of a joint is given by
-    the position limits of the model, and that of the gripper by its open and closed positions.
+    the position limits of the model, the range of the gripper by its open and closed positions.
 
     Args:
         config: The configuration.

@@ -124,7 +124,7 @@ class Servo(StrictModel):
     Attributes:
         model: Name of a servo model, e.g. `STS3215-7.4V` or `XM430-W350`.
         model_number: Content of the register Model Number, if the servo is not in the table of
-            models but has the control table of `model`; None: that of `model`.
+            models but has the control table of `model`; None: the number of `model`.
         no_load: No-load speed at the rated voltage [rpm]; None: that of the servo model.
         voltage: Lowest and highest supply voltage [V]; None: those of the servo model.
         id: Id of the servo on its port.
@@ -139,9 +139,10 @@ class Servo(StrictModel):
         torque_offset: Torque loss in the gears [N·m], subtracted from the torque of the torque
             limit register.
         gain: Value of the P gain register in the simulator and the emulator, only for servos that
-            keep it without power (Feetech); None: the maker's default. For a real servo, the gain
-            is read from the servo, and `kp` follows it.
-        kp: Identified stiffness with this gain [N·m/rad]; None: it follows from the gain register.
+            keep it without power (Feetech); None: the maker's default. The gain of a real servo is
+            read from the servo.
+        kp: Identified stiffness at this gain [N·m/rad]; it is scaled in proportion if the servo has
+            another gain. None: the stiffness is computed from the gain register.
         friction: Identified dry friction [N·m]; None: that of the servo model.
         damping: Identified viscous damping of the gears [N·m·s/rad]; None: that of the servo model.
     """

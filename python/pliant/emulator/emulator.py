@@ -38,7 +38,7 @@ class Emulator:
         clock: `real`: emulated time follows the wall clock. `steps`: it advances only by calls of
             `advance` and, with wire timing, by the duration of transactions.
         baud: Baud rate of all servos whose device sets no `baud_rate` [bit/s], or a mapping from
-            ports to baud rates; servos on other ports have their factory's.
+            ports to baud rates; servos on other ports keep their factory setting.
         log: Capacity of the log [transactions].
 
     Attributes:

@@ -179,7 +179,7 @@ def _kind(kind: str) -> Kind:
 
 
 def collide(first: bytes, second: bytes) -> bytes:
-    """Return the bytes on the line when two servos send the replies `first` and `second` at once.
+    """Return the bytes on the line if two servos send the replies `first` and `second` together.
 
     The line is low when either servo pulls it low, so the bits are combined with AND. The second
     servo is assumed to start one bit later.

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 class ManualClock:
     """Clock for `ServoBus(..., clock=...)` on an emulator with the clock `steps`.
 
-    A wait advances the emulated time at once, so the program runs as fast as the computer allows. A
+    A wait only advances the emulated time, so the program runs as fast as the computer allows. A
     busy computer matters only if a reply takes longer than the host's reply timeout.
 
     Args:

@@ -336,7 +336,7 @@ class Servo(ABC):
 
     @abstractmethod
     def status(self) -> int:
-        """Return the bits of present conditions (overheating, ...), which every reply carries."""
+        """Return the bits of present conditions (overheating, ...), which every reply contains."""
 
     @abstractmethod
     def check_read(self, address: int, length: int) -> int:

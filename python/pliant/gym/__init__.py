@@ -5,7 +5,7 @@
     >>> observation, info = env.reset(seed=0)
 
 The import registers `pliant/Door-v0`, `Drawer`, `Plug`, `Wall` and `Wipe`. An action moves the
-target and sets one number per soft axis, from -1 (softest) to 1 (firm). Many arms at once:
+target and sets one number per soft axis, from -1 (softest) to 1 (firm). Many arms in parallel:
 
     >>> envs = gymnasium.make_vec(
     ...     "pliant/Door-v0", num_envs=64, vectorization_mode="vector_entry_point"

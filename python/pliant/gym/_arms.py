@@ -22,11 +22,13 @@ if TYPE_CHECKING:
 
 #: Rate of the controller [Hz].
 RATE = 100.0
-#: Largest distance of the target from the tool [m], [rad], also while the arm is blocked.
+#: Largest distance of the target from the tool, also while the arm is blocked: along each base axis
+#: [m], and angle [rad].
 LEASH = (0.08, 0.5)
 #: Trace of a rotation by the largest angle: 1 + 2 cos(angle).
 LEASH_TRACE = 1.0 + 2.0 * float(np.cos(LEASH[1]))
-#: Bounds of the observed force [N] and torque [N·m]; the estimate is infinite in the first tick.
+#: Bounds of the observed uncertainty of force [N] and torque [N·m], which is infinite in the first
+#: tick.
 MAX_WRENCH = np.array([100.0] * 3 + [20.0] * 3)
 
 
@@ -102,7 +104,7 @@ class Arms:
         if self._own:
             self._own[row].update(self._settings)
             self._own[row].reset(q)
-        # A new estimator: the filters of a reset one keep rounding errors of the last episode.
+        # Create an estimator: `reset` would leave rounding errors of the last episode in filters.
         self._contact[row] = ContactEstimator(self._controller)
         self._target[row] = self.model.forward_kinematics(q)
         self._softness[row], self._dq[row], self._felt[row] = self._softest, 0.0, 0.0

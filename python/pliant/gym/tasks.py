@@ -40,8 +40,9 @@ class Episode:
 class Task(ABC):
     """A task: the scene of an episode, its start and its measure of progress.
 
-    The reward of a step is its progress, minus ``force_weight (F / free_force - 1)`` per second
-    while the force F on the tool exceeds `free_force`, plus 1 at success.
+    The reward of a step is the increase of progress, minus ``force_weight (F / free_force - 1)``
+    per second while the force F on the tool exceeds `free_force`, plus 1 at success or minus 1 at
+    failure.
 
     Attributes:
         seconds: Length of an episode [s].
@@ -82,7 +83,10 @@ class Task(ABC):
         """
 
     def measure(self, episode: Episode, plant: Plant) -> tuple[float, float]:
-        """Return the place of the tool or the object, and the force on the tool [N], of one arm."""
+        """Return, for one arm, the coordinate that determines progress, and the tool force [N].
+
+        The coordinate is a position or depth of the tool or of the object.
+        """
         raise NotImplementedError
 
 

@@ -1,8 +1,8 @@
 """Least-squares fit of stiffness, friction, damping and payload together; fit of the loop's delay.
 
 The least-squares fit solves the equation in the docstring of module `_segments`, linearised around
-the previous iteration, for all segments at once. The assumed values are Gaussian priors: an unknown
-that the data do not determine keeps its assumed value and standard deviation.
+the previous iteration, for all segments together. The assumed values are Gaussian priors: an
+unknown that the data do not determine keeps its assumed value and standard deviation.
 """
 
 from __future__ import annotations
@@ -43,7 +43,8 @@ ITERATIONS = 8
 #: Standard deviation of the prior of the payload's centre of mass, per axis of the tool frame [m].
 COM_SIGMA = 0.1
 #: Standard deviation of the prior of the payload's mass, as a share of the mass that the arm can
-#: lift at half of its reach [1]. That of the force at the tool is the weight of this mass.
+#: lift at half of its reach [1]. The weight of this mass is the standard deviation of the prior of
+#: the force at the tool.
 MASS_SIGMA_SHARE = 0.5
 
 

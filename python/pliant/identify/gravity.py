@@ -73,7 +73,7 @@ class GravityCapture:
 
     @property
     def stays(self) -> bool:
-        """True if the arm was at rest, no stiffness was clipped, and any check was passed."""
+        """True if the arm was at rest, no stiffness was clipped, and the check, if any, passed."""
         return self.still and not self.clipped.any() and not self.drift > self.bound
 
     def summary(self) -> list[str]:

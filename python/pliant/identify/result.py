@@ -238,11 +238,11 @@ class Identification:
                 f"({kp / assumed_values[0][i]:.2f} × assumed), "
                 f"friction {friction:.3g} ± {2 * self.sigma['friction'][i]:.2g} N·m "
                 f"(assumed {assumed_values[1][i]:.3g}), damping {servos.damping[i]:.3g} outside "
-                f"the limit and {servos.kv[i]:.2g} N·m·s/rad inside"
+                f"the torque limit and {servos.kv[i]:.2g} N·m·s/rad within it"
             )
             if servos.load_friction[i]:
                 share = 100.0 * servos.load_friction[i]
-                text += f"; of that friction {share:.0f} % of the load"
+                text += f"; the friction includes {share:.0f} % of the load torque"
             out.append(text + ".")
         out.append(
             f"loop delay {1e3 * self.delay:.1f} ± {2e3 * self.delay_sigma:.1f} ms, from reading to "

@@ -83,7 +83,7 @@ def _loading_axis(log: Log, joint: int, first: int, last: int) -> str | None:
 
     The load is the joint's share in the axis (activation matrix, equation 10 of the paper) times
     the commanded force along the axis. Law `paper` computes no such force; for it, the load is the
-    share times the axis strength (equation 11), the cap of the force along the axis.
+    share times the axis strength, as in the torque limits of equation 11.
     """
     axes, ticks = log.run["axes"], slice(first, last + 1)
     wrench = log.wrench[ticks]

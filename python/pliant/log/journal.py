@@ -125,7 +125,7 @@ class Journal:
     def target(self) -> Array | None:
         """Target pose of the last step (4, 4); None before the first step.
 
-        If the target was a position, the rotation is that of the controller's reference.
+        If the target was a position, the rotation comes from the controller's reference.
         """
         target = self._target
         if target is None:

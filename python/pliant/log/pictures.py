@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 ROW_HEIGHT = 1.45
 #: Colours of the joints' curves, from base to tip; after the last colour they start again.
 COLOURS = (style.BLUE, style.ORANGE, style.GREEN, style.RED, style.PURPLE, style.SKY, style.MUTED)
-#: Minimum plotted range of deviations and forces, by unit: it keeps the noise at rest small.
+#: Minimum plotted range of deviations and forces, by unit, so that noise at rest does not fill it.
 MIN_RANGE = {"mm": 2.0, "mrad": 8.0, "N": 2.0, "N·m": 0.4}
 
 

@@ -62,7 +62,7 @@ class Recorder:
     def __init__(self, path: str | Path, *, config: Config | None = None, note: str = "") -> None:
         instance(note, str, "note")
         if not isinstance(path, str | PathLike):
-            raise TypeError(f"path must be that of a file, got {format_value(path)}")
+            raise TypeError(f"path must be the path of a file, got {format_value(path)}")
         if config is not None and not hasattr(config, "model_dump_json"):
             raise TypeError(
                 f"config must be what pliant.config.load gives, got {format_value(config)}"

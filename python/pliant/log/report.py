@@ -188,8 +188,8 @@ def _strength(log: Log, bounds: list[Span], folder: Path) -> str:
         folder,
         "strength",
         "Torque limits",
-        "A joint at its ceiling has no torque left: the soft part of the motion gives way first, "
-        "then the stiff part, gravity never.",
+        "A joint at its ceiling has no torque left: the soft part of the motion is reduced first, "
+        "then the stiff part, gravity compensation never.",
     )
     if not bounds:
         return "<p>No joint was at its torque ceiling or at a position limit.</p>" + figure

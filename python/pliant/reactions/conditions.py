@@ -443,7 +443,7 @@ class _TaskCondition(Condition):
 
 
 class Deviation(_TaskCondition):
-    """True while the deviation of any axis is above `above`, or that of all axes below `below`.
+    """True while the deviation is above `above` on any axis, or below `below` on all axes.
 
     Args:
         axes: Names of task axes, e.g. "x yaw".

@@ -81,7 +81,7 @@ class ReactionEvent:
 
     Attributes:
         time: Time since the first update of the monitor [s].
-        what: `began`, `ended`, or `called` for a reaction whose actions are complete at once.
+        what: `began`, `ended`, or `called` for a reaction whose actions complete immediately.
         reaction: The reaction.
         wrench: Estimated wrench on the tool at that time; None: there was no contact estimator.
     """

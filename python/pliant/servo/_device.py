@@ -78,7 +78,7 @@ class Device:
         joint: Index of the joint in all vectors of the bus.
         id: Id of the servo on the bus.
         sign: +1 if counts rise with the joint angle, else -1.
-        changes: Counter of changes, also those of the other servos of the bus; None: a new one.
+        changes: Counter of changes, shared by all servos of the bus; None: a new counter.
 
     Attributes:
         units: Unit conversions at the latest supply voltage.

@@ -41,7 +41,7 @@ RESUME_TIME = 3.0
 _CHECKED = ("torque_enable", "position", "hardware_error", "watchdog", "voltage", "temperature")
 #: Registers of the first command, in the order of `FirstCommand`.
 _COMMANDED = ("goal", "limit", "speed_cap")
-#: Registers of a servo that an ended program has left.
+#: Registers that `resume` reads from a servo of an ended program.
 _RESUMED = ("torque_enable", "goal", "limit")
 #: Number of torque-off packets to a servo that does not reply.
 OFF_PACKETS = 3
@@ -137,7 +137,7 @@ def enable(
             port.read(inf)
     except BaseException as error:
         if is_sent and not isinstance(error, Exception):
-            # After a signal, torque stays as it is, because the arm may hang on it. All servos
+            # After a signal, torque stays as it is, because it may hold the arm up. All servos
             # count as enabled, so that the caller's goals lower every joint that has torque.
             for device in devices:
                 device.enabled = device.torque_on = True
@@ -160,7 +160,7 @@ def enable(
 
 
 def resume(devices: Sequence[Device], ports: Ports, budget: float, patience: float) -> list[Device]:
-    """Read the servos that an ended program has left, and enable those whose torque is on.
+    """Read the servos of an ended program, and enable those whose torque is on.
 
     Each servo is asked until it answers, or until no servo has answered for the time `patience`. A
     servo that does not answer keeps goal and limit, and gets no goals.
@@ -182,14 +182,15 @@ def resume(devices: Sequence[Device], ports: Ports, budget: float, patience: flo
     for device in devices:
         device.enabled, device.torque_unknown = False, True
         device.accept_any_position()
-    # The servos hold what the ended program sent last, so the first goal must not be late.
+    # Read with few requests: until the first goal, the servos execute the old command.
     together, failed = _read_together(devices, ports, budget) if patience > 0.0 else ({}, set())
     deadline = time.monotonic() + patience
     while pending:
         silent = []
         for device in pending:
             guard = ports[id(device)].guard
-            # Outside of a cycle, the guard can exclude late replies to the failed request.
+            # An infinite budget allows longer drains and more tries: a late reply to the failed
+            # request must not be taken for a reply to this one.
             has_failed = id(device) in failed
             guard.start_cycle(inf if has_failed else budget)
             try:
@@ -308,8 +309,8 @@ def _send_first_command(
         device: The servo.
         ports: Port of each servo.
         command: Register values that were sent.
-        images: Registers with the position from which the goal was made, and with the speed; and
-            registers after the command was sent.
+        images: Registers from which the goal was made, with position and speed; and registers after
+            the command was sent.
         lead: Goal minus position of a joint without torque [counts].
 
     Returns:

@@ -227,7 +227,7 @@ def _check(device: Device, image: RegisterImage) -> list[str]:
         present = (
             present
             or f"no {row.name} (it reads as model number {number}, which is in no table; "
-            f"`pliant servos scan` names it. If its control table is that of {row.name}, add "
+            f"`pliant servos scan` names it. If it has the control table of {row.name}, add "
             f"`model_number = {number}` to its line)"
         )
         return [f"it is {present}, the configuration says {row.name} ({row.model_number})"]

@@ -384,7 +384,7 @@ class Port:
             device.record_sent(device.goal, limit)
 
     def _silent_devices(self) -> list[Device]:
-        """Return the servos with torque on that are silent for so long that they may restart."""
+        """Return the servos with torque on that may have restarted, because they are silent."""
         oldest = self._clock() - self._restart
         return [d for d in self.devices if d.enabled and d.id in self._misses and d.time < oldest]
 
@@ -426,8 +426,8 @@ class Port:
         """Read several servos with one request; add the indices of plausible ones to `accepted`.
 
         If the request fails, read the servos one by one, the servo that failed last. The reading
-        includes the status registers when `StatusPoller` has used the previous status of every
-        servo, the last one last. This saves a separate status request in each cycle.
+        includes the status registers once `StatusPoller` has used the previous status of the last
+        servo, and so of all. This saves a separate status request in each cycle.
 
         Returns:
             The readings of the joints, if none needs attention and the bus has no other servos.
@@ -626,7 +626,8 @@ class StatusPoller:
         not read back as written: a second reading distinguishes a lost packet from a rejected one.
 
         Returns:
-            The status; None if no reply came, or if the torque state of all servos was read.
+            The status; None if no reply came, or if the torque state of a port's servos was
+            requested instead.
 
         Raises:
             BusError: The port is gone.
@@ -703,7 +704,7 @@ class StatusPoller:
         return None
 
     def _note_changes(self) -> None:
-        """Find the servos with a fault again, and discard the statuses."""
+        """Update the list of servos with faults or mismatches, and discard the cached statuses."""
         self._seen = self._changes.status
         self._statuses.clear()
         self._doubtful = [

@@ -74,7 +74,7 @@ def refusal(family: Family, status: int) -> str | None:
     """Return the reason for the rejection of a request; None if the servo executed it.
 
     `status` is the status byte of the reply. Some bits report conditions and not a rejection: all
-    bits of Feetech, and those of voltage, temperature and overload in Protocol 1.0.
+    bits of Feetech, and the bits for voltage, temperature and overload in Protocol 1.0.
     """
     if family.status == "feetech":
         return None

@@ -4,8 +4,9 @@ The servo protocols have no sequence numbers: only its length distinguishes a la
 earlier request from the present reply. When a request fails, its reply is recorded as missing, and
 further requests to that servo ask for another length until such a reply arrives. Servos answer in
 order, so this reply proves that no older one can still come. Some adapters reorder data: requests
-therefore avoid the length of a missing reply for one second in any case, if possible. A missing
-reply expires after two seconds; an arm without positions for so long is being lowered.
+therefore avoid, if possible, the length of the missing reply even after such proof, for one second
+after the failed request. A missing reply without such proof expires after two seconds; an arm
+without positions for so long is being lowered.
 
 A late reply also corrupts the next reply. After a failure the line is therefore drained: pings to
 an unused id discard data until the line has been silent for as long as a reply may take.
@@ -124,8 +125,8 @@ def check_reply_timeout(reply_timeout_min: float) -> float:
     return float(reply_timeout_min)
 
 
-#: After a failed request, later requests avoid the length of its reply: until `AVOID_TIME` [s] if
-#: possible, until `EXPIRY` [s] always, unless the servo has answered since.
+#: Time after a failed request in which later requests avoid the length of its reply [s]: `EXPIRY`
+#: always, until the servo has answered again; after that answer `AVOID_TIME`, if possible.
 AVOID_TIME, EXPIRY = 1.0, 2.0
 
 
@@ -212,8 +213,8 @@ NOISE_MESSAGE = (
 SILENCE_SHARE = 0.2
 #: Outside control cycles: factor on reply timeouts, and number of tries.
 RELAXED_FACTOR, TRIES = 5.0, 6
-#: Outside control cycles: longest time for which the line is drained, and the same if the previous
-#: drain did not reach silence [s].
+#: Outside control cycles: time after which a drain gives up, in addition to the required silence,
+#: and the same if the previous drain gave up [s].
 DRAIN, DRAIN_AGAIN = 0.5, 0.05
 #: Number of data bytes of a ping reply by protocol; number of bytes from address 0 that every servo
 #: has.
@@ -311,7 +312,7 @@ class TransactionGuard:
         counters: Event counters.
         held_back: Shortest delay of a reply beyond its wire time [s].
         unused_id: Id without a servo; pings to it drain the line.
-        is_gone: True if the port has vanished; every request then fails at once.
+        is_gone: True if the port has vanished; every request then fails immediately.
         is_noisy: True if the last drain outside of a control cycle ended without silence.
     """
 
@@ -431,7 +432,7 @@ class TransactionGuard:
             ids: Ids of the servos.
             blocks: Alternative blocks of different lengths, see `read`.
             decoder: These servos, where the readings are stored; None: nowhere.
-            longest: Age of the last reading above which a reading is not stored [s].
+            longest: Age of the previous reading above which a new one is not stored [s].
             usual: True: return readings instead of replies if the first of `blocks` is read and no
                 reading needs attention, see `ServoGroup.read`.
 
@@ -514,7 +515,7 @@ class TransactionGuard:
         Args:
             ids: Ids of the servos.
             block: Block that was requested.
-            times: Time of the request on the clock of the readings, and on that of timeouts [s].
+            times: Time of the request on the clock of readings and on the clock of timeouts [s].
             found: The replies, or bytes that are no valid replies; see `GroupReplies.notable`.
 
         Raises:
@@ -804,7 +805,7 @@ class TransactionGuard:
 
         Pings to an unused id discard the data on the line: a ping returns early if data arrive,
         else after its timeout. In a control cycle, the drain ends with the cycle. Outside, the line
-        must be silent for a reply timeout, and the drain ends after `DRAIN`.
+        must be silent for a reply timeout, and the drain gives up after `DRAIN` plus this time.
         """
         self.counters.drains += 1
         is_relaxed = self._is_relaxed
@@ -830,7 +831,7 @@ class TransactionGuard:
 
 
 def _mismatch(id: int, block: Block, data: bytes, status: int) -> BusError:
-    """Return the error for a reply whose length is not that of the block.
+    """Return the error for a reply whose length differs from the length of the block.
 
     Either the servo rejected the request, or the reply belongs to an earlier request.
     """

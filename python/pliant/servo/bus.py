@@ -486,8 +486,9 @@ class ServoBus:
     def poll_status(self) -> ServoStatus | None:
         """Read status registers of one servo, in turn.
 
-        Return voltage, temperature, faults and limit of its joint as last read; None without a
-        reply. Call this method once per cycle, after `read` and `write`.
+        Return voltage, temperature and faults of its joint as last read; None if no reply came, or
+        if the torque state of a port's servos was read instead. Call this method once per cycle,
+        after `read` and `write`.
 
         Raises:
             ServoError: All ports are gone.
@@ -520,7 +521,7 @@ class ServoBus:
             goal: Expected joint positions (n,) [rad].
             limit: First torque limits (n,) [N·m].
             lead: First goal minus position (n,) [rad] of joints without torque; None: 0. With it, a
-                joint holds its weight at once.
+                joint holds its weight immediately.
 
         Raises:
             ShapeError, ConfigError: A vector is not (n,), not finite or negative.

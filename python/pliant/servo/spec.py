@@ -87,7 +87,7 @@ class ServoSpec:
         name: Joint name.
         model: Servo model, as `pliant.servo.list_models()` lists them.
         model_number: Register Model Number of a servo that is not in the table of models, but has
-            the control table of `model`; None: that of `model`.
+            the control table of `model`; None: the number of `model`.
         no_load: No-load speed at the rated voltage [rpm]; None: the value of the model.
         voltage: Lowest and highest supply voltage [V]; None: those of the model.
         id: Id on the bus.
@@ -103,8 +103,8 @@ class ServoSpec:
         torque_offset: Torque lost in the gears [N·m]: joint torque is limit register times torque
             per unit, minus this.
         kp: Identified joint stiffness [N·m/rad]; None: it is computed from the gain register.
-        gain: Gain register with which `kp` was identified; `kp` follows the register of the servo.
-            None: `kp` is that of the present gain.
+        gain: Gain register with which `kp` was identified; `kp` is scaled in proportion to the
+            servo's register. None: `kp` is valid for the present gain.
         friction: Identified dry friction [N·m]; None: the value of the model.
         damping: Identified viscous damping of the gears [N·m·s/rad]; None: the value of the model.
         calibration: LeRobot's calibration of this joint; checked against the servo at open.

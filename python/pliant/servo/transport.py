@@ -331,8 +331,8 @@ def _cannot_open(port: str, text: str) -> str:
 def _wait_for(request: Callable[..., Any], *arguments: Any) -> Any:
     """Return the result of a request of rustypot, during which no periodic timer runs.
 
-    Each signal that interrupts this thread starts rustypot's wait for a reply again, so a periodic
-    one would let it wait for ever. Signals interrupt the main thread only.
+    Each signal that interrupts this thread makes rustypot restart its wait for a reply, so with a
+    periodic signal it would wait for ever. Signals interrupt the main thread only.
     """
     if sys.platform == "win32" or not signal.getitimer(signal.ITIMER_REAL)[1]:
         return request(*arguments)
@@ -362,7 +362,7 @@ def _unlock(descriptors: Iterable[int]) -> None:
     """Give up the exclusive use of a port before it is closed.
 
     A process that another thread is starting has copies of the descriptors until it runs its
-    program, and would keep the port locked for so long.
+    program, and would keep the port locked until then.
     """
     if sys.platform != "win32":
         for number in descriptors:

@@ -133,7 +133,7 @@ class Friction:
 
     @staticmethod
     def of(joints: Sequence[Friction]) -> Friction:
-        """Return the friction of an arm from that of each joint, base to tip."""
+        """Return the friction of an arm from the friction of each joint, base to tip."""
         names = [field.name for field in fields(Friction)]
         columns = {name: np.array([getattr(joint, name) for joint in joints]) for name in names}
         return Friction(**columns)

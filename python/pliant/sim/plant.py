@@ -69,8 +69,8 @@ class Plant:
     """Simulated arm with torque-limited position servos and imperfections of servos and bus.
 
     The torque of a servo is ``clip(kp (goal - q) - kv dq, ±limit)`` [N·m]. Gear friction, damping
-    and back-EMF act in addition, so a joint with limit 0 still resists motion. A command holds
-    until the next command arrives.
+    and back-EMF act in addition, so a joint with limit 0 still resists motion. A command stays in
+    force until the next command arrives.
 
     Args:
         model: The robot; the world frame is its base frame.
@@ -475,6 +475,6 @@ def _split_scene(scene: Iterable[Hand | Fixture]) -> tuple[list[Hand], list[Fixt
         elif hasattr(item, "at"):
             hands.append(item)
         else:
-            known = "a hand (Drag, Push, Wall …) nor a fixture (door(), Surface …) of pliant.sim"
+            known = "a hand (Drag, Push, Wall …) nor a fixture (door(), drawer() …) of pliant.sim"
             raise TypeError(f"scene[{i}] is neither {known}, got {format_value(item)}")
     return hands, fixtures

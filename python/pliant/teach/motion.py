@@ -49,8 +49,8 @@ class Motion:
         q: Joint positions (N, n) [rad].
         extra: Positions (N,) [rad] of joints outside the chain, such as a gripper, by name.
         note: Comment by the user.
-        start: Position of the tool at the first sample (3,) [m], base axes, by the model of the
-            recorded arm; None: unknown. It serves to detect a different arm with equal joint names.
+        start: Position of the tool at the first sample (3,) [m], base axes, computed with the model
+            of the recorded arm; None: unknown. It reveals a different arm with equal joint names.
 
     Raises:
         ConfigError: Shapes, times or numbers are inconsistent.
@@ -171,7 +171,7 @@ class Motion:
             if distance > START_TOLERANCE:
                 raise ConfigError(
                     "the motion is another arm's: its tool began at "
-                    f"{_format_point(self.start)}, that of {model.name} is at "
+                    f"{_format_point(self.start)}, the tool of {model.name} is at "
                     f"{_format_point(tool)} with the same joint positions, {distance:.3f} m away "
                     f"(at most {START_TOLERANCE:g}); give the URDF of the recording, or remove "
                     '"start" from the file'

@@ -42,7 +42,7 @@ class Replay:
 
     The motion has its own clock, which runs at `speed` times a factor p. This factor follows
     ``clip(2 (1 − m), 0, 1)``, where m is the largest ratio of the tool's deviation to its bound
-    `wait`; p falls at once and rises gradually. The clock thus runs at full rate up to half the
+    `wait`; p falls immediately and rises gradually. The clock thus runs at full rate up to half the
     bound and stops at the bound, so that the deviation, and with it the force, does not grow while
     the tool is blocked.
 

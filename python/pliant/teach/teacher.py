@@ -148,8 +148,8 @@ def record(
             True if the user asks to start or to stop.
         on_status: Function that is called with a line of text at every change of the status.
         on_interrupt: Function that is called with the motion so far if an exception (also Ctrl-C)
-            ends the recording. It should return at once, because the arm is lowered only
-            afterwards.
+            ends the recording of an arm that has moved. It should return quickly, because the arm
+            is lowered only afterwards.
 
     Raises:
         PliantError: Nothing was recorded, or the arm was not moved within `start_timeout`.

@@ -99,7 +99,7 @@ def ranges(
     """Return the full scale of the deviation bars by unit: mm and °.
 
     A scale covers the largest deviation of all axes with this unit, and the threshold `soft_until`
-    of soft axes. It grows at once, and shrinks only when less than a third of it is needed.
+    of soft axes. It grows immediately, and shrinks only when less than a third of it is needed.
 
     Args:
         info: Description of the scene, with the names of the task axes.

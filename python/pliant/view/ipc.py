@@ -209,7 +209,7 @@ class PageEndpoint:
             threading.Thread(target=work, daemon=True).start()
 
     def send(self, message: Ready | StartupError | Ack | list[Message]) -> None:
-        """Send an object to the loop at once; do nothing if the loop has ended."""
+        """Send an object to the loop without queueing it; do nothing if the loop has ended."""
         with self._lock, contextlib.suppress(OSError):
             self._pipe.send(message)
 

@@ -42,7 +42,7 @@ class MouseForce:
         self.let_go()
 
     def let_go(self) -> None:
-        """Remove the force at once; the next force acts on the tool again."""
+        """Remove the force abruptly; the next force acts on the tool again."""
         self.at, self._grip_offset = TOOL, self._zero
         self._pull_toward: Array | None = None
         self._wrench, self._applied_wrench, self._until = np.zeros(6), np.zeros(6), -np.inf

@@ -64,7 +64,8 @@ class Page:
     def _protect_controls(self) -> None:
         """Let a browser change only the values of controls.
 
-        viser lets it set every attribute; removing the STOP button in this way ends the page.
+        viser itself would accept every attribute; a change that removes the STOP button would end
+        the page.
         """
         change, interface = self.server.gui._handle_gui_updates, self.server._websock_server
 

@@ -16,8 +16,7 @@ def run(
 
     Args:
         log: MCAP file of `pliant run --log` or `pliant.log.Recorder`.
-        output: Output file or folder. A folder for report.html and pictures; default: beside the
-            log.
+        output: Folder for report.html and its figures. Default: LOG_report beside the log.
     """
     from pliant.log import read
     from pliant.log.report import report

@@ -38,8 +38,8 @@ PUSHES = (
 )
 #: Smallest motion of the tool in a push [m].
 MIN_PUSH = 0.02
-#: Smallest motion of the tool in a push, divided by the motion in which the servos build up the cap
-#: [1].
+#: Smallest motion of the tool in a push, as a multiple of the motion over which the servos build up
+#: the capped force [1].
 MIN_PUSH_SHARE = 1.5
 #: Smallest reading of the scale, and smallest mass of the weight [g].
 MIN_READING, MIN_WEIGHT = 1.0, 20.0
@@ -129,7 +129,7 @@ class Session:
             self.say(f"{error} and press Enter")
 
     def _servos(self) -> None:
-        if self._confirm("the arm swings every joint by 0.1 rad and jumps its goals, 2 to 3 min"):
+        if self._confirm("the arm swings every joint by 0.1 rad and makes goal steps, 2 to 3 min"):
             arm = self.arm
             identification = identify.identify_servos(
                 arm, arm.model, arm.servos, loop=self._ticks()

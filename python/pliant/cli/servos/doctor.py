@@ -40,8 +40,8 @@ def run(
     joints, and the direction in which the tool must move as each angle grows.
 
     --measure moves the arm. In a session of 5 minutes with a kitchen scale and a weight, it
-    compares servos, forces, latencies and the descent with their tables, and writes the file of
-    --report.
+    measures servos, forces, latencies and the descent, compares them with the assumed values, and
+    writes the file of --report.
 
     Args:
         arm: Configuration file, or the name of a ready one (so101, koch, vx300s, ...).

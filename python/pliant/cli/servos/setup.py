@@ -97,7 +97,7 @@ def run(
 
 
 def _write(ports: _Ports, specs: list[ServoSpec], planned: list[RegisterChange]) -> None:
-    """Write all planned changes; an error of one servo does not prevent those of the others.
+    """Write all planned changes; after an error of one servo, the other servos are still written.
 
     Raises:
         ServoError: Some changes were not written; the message names them.
@@ -140,7 +140,9 @@ def _assign_id(
     owners = [spec for spec in specs if new in dict(spec.servos)]
     if len(owners) != 1:
         known = ", ".join(f"{n} ({spec.name})" for spec in specs for n, _ in spec.servos)
-        raise ConfigError(f"--set-id: id {new} is not that of one joint; there are {known}")
+        raise ConfigError(
+            f"--set-id: id {new} is not the id of exactly one joint; there are {known}"
+        )
     (spec,) = owners
     with _Ports(arm_config, specs) as ports:
         io = ports[spec.port]
