@@ -809,8 +809,8 @@ def draw_activation(arm: Arm, matrix: Array, folder: Path) -> None:
 def draw_dragged(arm: Arm, traces: Mapping[str, Trace], folder: Path) -> None:
     """Draw `2-dragged`, three plots over time with one curve per run.
 
-    They show the deviation of the dragged axis from its target, at each time the largest deviation
-    of the other positions (none if the task has no other position), and the force of the hand.
+    They show the deviation of the dragged axis from its target, the largest deviation of the other
+    translations (no curve if the task has no other), and the force of the hand.
     """
     axis = AXES.index(arm.soft)
     others = [row for row in arm.rows if row < 3 and row != axis]

@@ -352,7 +352,7 @@ class Loop:
             )
         self._arm, self._clock, self.duration = arm, arm.clock, duration
         self._stale = longest_command_age(rate)
-        # Age of the last rejected command; 0: it was rejected because of its numbers [s].
+        # Age of the last rejected command [s]; 0: a goal or limit was not finite.
         self._rejected_age = 0.0
         self._max_step_time = arm.comm_timeout if max_step_time is None else float(max_step_time)
         self.lateness = LatenessHistogram()

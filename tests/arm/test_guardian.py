@@ -30,7 +30,7 @@ from pliant.config.factory import make_emulator
 from pliant.emulator import emulate
 
 full = pytest.mark.full
-#: Robot, phase and ending of a program, and the random seed of time and pose.
+#: Phase and ending of a program, and the random seed of time and pose.
 CASES = [
     ("running", "SIGKILL", 0),
     ("enabling", "SIGKILL", 1),

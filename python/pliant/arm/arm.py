@@ -467,7 +467,7 @@ class Arm:
 
     @property
     def _label(self) -> str:
-        """Name in messages; real arms of one model differ by their ports."""
+        """Name in messages: that of the model, and the ports of a real arm."""
         is_real = getattr(self.drive, "outlives_program", False)
         ports = dict.fromkeys(s.port for s in getattr(self.drive, "specs", ()) if is_real)
         return self.model.name + (f" ({', '.join(ports)})" if ports else "")

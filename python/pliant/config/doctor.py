@@ -213,8 +213,8 @@ def _gains(chain: ServoBus, config: Config) -> Iterator[Diagnosis]:
                 "note",
                 joint,
                 f"its P gain is {gains[joint]}, the file says {servo.gain}: the controller uses "
-                f"the servo's value, and with `gain = {gains[joint]}` in [servo] so does the "
-                "simulator",
+                f"the servo's value, and the simulator takes it from `gain = {gains[joint]}` in "
+                "[servo]",
             )
 
 

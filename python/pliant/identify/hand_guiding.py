@@ -2,9 +2,9 @@
 
 k_p [N·m/rad] is the stiffness of the servos. The arm first moves each joint a little up and down.
 The lead (goal minus position, [rad]) differs between the two directions: its mean lead₀ holds the
-joint against the gravity torque g₀ [N·m], and half the difference is the friction ρ [rad]. Neither
-depends on k_p. Then the goals follow the arm with a play w [rad], like a drive with backlash. For
-each joint with predicted position q̂ and filtered speed v:
+joint against the gravity torque g₀ [N·m], and half the difference is the friction ρ [rad]. Both are
+measured, without the assumed k_p. Then the goals follow the arm with a play w [rad], like a drive
+with backlash. For each joint with predicted position q̂ and filtered speed v:
 
     anchor = clip(anchor, q̂ − w, q̂ + w)
     goal   = anchor + lead₀ + c (g(q̂) − g₀) + b_f ρ tanh(v/v₀) + c_low b_d d v
@@ -14,8 +14,8 @@ with gravity torque g, viscous damping d [N·m·s/rad], the shares b_f, b_d = 0.
 damping that are fed forward, v₀ = 0.05 rad/s, and the least play w₀ of the joint (at least 2 mrad).
 [c_low, c_high] is the interval of possible compliances 1/k_p [rad/(N·m)], and c its middle. The
 play covers the possible error of the lead: with a wrong k_p the arm can sag within the play, but
-not drift. When the arm rests after a motion, its lead is right within ρ; this narrows the
-interval, and with it the play.
+not drift. When the arm rests after a motion, the error of its lead is at most ρ + w₀; this
+narrows the interval, and with it the play.
 """
 
 from __future__ import annotations

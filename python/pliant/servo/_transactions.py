@@ -213,8 +213,8 @@ NOISE_MESSAGE = (
 SILENCE_SHARE = 0.2
 #: Outside control cycles: factor on reply timeouts, and number of tries.
 RELAXED_FACTOR, TRIES = 5.0, 6
-#: Outside control cycles: time after which a drain gives up, in addition to the required silence,
-#: and the same if the previous drain gave up [s].
+#: Outside control cycles: time after which a drain gives up, in addition to the required silence
+#: [s]; the second value applies if the previous drain gave up.
 DRAIN, DRAIN_AGAIN = 0.5, 0.05
 #: Number of data bytes of a ping reply by protocol; number of bytes from address 0 that every servo
 #: has.

@@ -33,7 +33,7 @@ LONG_TIMEOUT = 0.05
 IDS_TO_REPEAT = 12
 #: Id that is assumed to have no servo; pings to it detect data on the line.
 UNUSED_ID = 252
-#: Number of pings with data after which the line counts as never silent.
+#: Number of pings that other data interrupt before the line counts as never silent.
 MAX_PINGS = 20
 #: Number of requests to an id whose replies are corrupt.
 TRIES = 3

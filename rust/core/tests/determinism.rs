@@ -1,7 +1,8 @@
 //! All instruction sets give the same commands up to rounding. Within one set, commands are bit-identical in every run,
 //! in a clone and after a reset, and in the plain step and the step with all features.
 //!
-//! Also: where rounding decides the strength of an axis that yields to one side, a direction band makes it continuous.
+//! Also: the strength of an axis that yields in one direction only jumps with the sign of the deviation, which is rounding
+//! error at the target; a direction band makes it continuous.
 
 use std::sync::Arc;
 

@@ -205,8 +205,9 @@ fn a_bound_after_a_host_loss_first_takes_the_same_share_of_each_margin() {
     }
 }
 
-/// At small deviations the force caps have no effect. Law `cap` then exerts `s / (C + (1 − w) λ²/k_p)` with the step `s =
-/// h K_x ẽ` within its limit and `C = l²/k_p`; law `impedance` exerts `f K ẽ` with the stiffness of the pushed side.
+/// At small deviations ẽ the force caps have no effect. With lever l, damping λ and softness w, law `cap` then exerts
+/// `s / (C + (1 − w) λ²/k_p)`, where `C = l²/k_p` and the step `s = h K_x ẽ` is limited. Law `impedance` exerts `f K ẽ`
+/// with the stiffness K of the pushed side and the gain factor f.
 #[test]
 fn yield_forces_below_the_caps_are_those_of_the_law() {
     let (compliance, horizon, lambda) = (0.25 / 100.0, 0.3, 0.1);

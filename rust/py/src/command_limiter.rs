@@ -164,7 +164,7 @@ impl CommandLimiter {
         let mut note = |i: usize, values: &[f64]| {
             measured[i] = Some(of_chain(py, &self.core, values, &mut measured_vectors[i]).unbind());
         };
-        // The load comes last: it stays in the buffer for the heat.
+        // Note the load last: the thermal model needs it in `self.load` afterwards.
         let has_load = match &readings.values {
             Values::Servos(rows, _) => {
                 for (i, column) in [2, 4, 3].into_iter().enumerate() {

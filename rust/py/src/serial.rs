@@ -23,7 +23,7 @@ const OVERHEAD: usize = 6;
 
 /// Instruction of Protocol 1.0 that reads registers of one servo.
 const READ: u8 = 0x02;
-/// Instruction of Protocol 1.0 that reads the same registers of several servos.
+/// Instruction of Feetech's extension of Protocol 1.0 that reads the same registers of several servos.
 pub(crate) const SYNC_READ: u8 = 0x82;
 /// Instruction of Protocol 1.0 that writes the same registers of several servos.
 const SYNC_WRITE: u8 = 0x83;

@@ -190,7 +190,7 @@ impl PushPath<'_> {
         let damping = [FRICTION_DAMPING * FRICTION_DAMPING * size; MAX_AXES];
         let mut along = [0.0; MAX_AXES];
         along[row] = 1.0;
-        // Column `row` of J⁺ = Jᵀ M⁻¹ alone.
+        // Solve for column `row` of J⁺ = Jᵀ (J Jᵀ + δ²)⁻¹ only.
         let column = factor_gram(scaled, JointVec16::splat(1.0), &damping).solve::<BaselineF64>(&along);
         let felt = JointVec16::abs(tr_mul(scaled, &column)) * JointVec16::load(self.friction);
         felt.sum() * self.params.row_scale[row]

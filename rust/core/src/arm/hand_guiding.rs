@@ -139,7 +139,8 @@ pub struct HandGuiding {
     min_play: JointVec,
     /// Play w in this tick [rad].
     play: JointVec,
-    /// Additional play that keeps the goals in place after a correction at rest [rad]; it decreases with motion.
+    /// Additional play that keeps the goals in place after the lead was corrected at rest [rad]; it decreases with
+    /// motion.
     excess_play: JointVec,
     anchor: JointVec,
     goal: JointVec,
@@ -149,11 +150,11 @@ pub struct HandGuiding {
     speed: JointVec,
     /// Positions at the last motion [rad].
     rest_q: JointVec,
-    /// Positions at the last correction [rad].
+    /// Positions at which the lead was last corrected at rest [rad].
     learnt_q: JointVec,
     /// Time since the last motion [s].
     rest_time: f64,
-    /// True if the arm has moved far enough since the last correction for a further correction.
+    /// True if the arm has moved far enough since that correction for a further one.
     has_moved: bool,
 }
 

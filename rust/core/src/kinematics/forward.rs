@@ -119,7 +119,8 @@ fn joint_trig<A: RealOps>(q: A::Real, angle: [A::Real; 2], slide: [A::Real; 2]) 
 /// Motions of up to `N` joints at the positions `q`.
 pub(super) struct JointTrigs<'a, R, const N: usize = MAX_JOINTS> {
     q: &'a [R; MAX_JOINTS],
-    /// Sines, cosines and displacements [m]; 0 for several configurations, whose values are computed when needed.
+    /// Sines, cosines and displacements [m]; unused if `R` holds several configurations, whose values are computed when
+    /// needed.
     all: [[R; N]; 3],
 }
 

@@ -32,7 +32,7 @@ impl CompositeMass {
     }
 
     /// Returns momentum [kg·m/s] and angular momentum about the base's origin [kg·m²/s] of all masses for a rotation at
-    /// 1 rad/s about the axis z (`axis`) through `o`.
+    /// 1 rad/s about the line through `o` with the unit direction `axis`, z in the formulas below.
     #[inline]
     fn turning(&self, axis: &Vec3, o: &Vec3) -> (Vec3, Vec3) {
         // Σ m z × (c − o), and Σ m c × (z × (c − o)) with c × (z × c) = (c·c) z − c (c·z).
