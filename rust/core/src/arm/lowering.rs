@@ -42,7 +42,7 @@ const MIN_SPEED_LIMIT: f64 = 0.01;
 /// Ratio of goal speed to the joint's distance from the rest pose [1/s].
 const REST_RATE: f64 = 4.0;
 /// Angle by which a joint may be ahead of the one that has the largest share of its way to the rest pose left [rad].
-/// Its goal slows down until then, stops there, and moves back beyond.
+/// Its goal slows down until then, stops there, and moves back beyond, but not above the least such share so far.
 const MAX_AHEAD: f64 = 0.03;
 /// Time in which a joint that stands still on the way to the rest pose doubles its push [s].
 const PUSH_GROWTH_TIME: f64 = 0.5;
@@ -294,6 +294,8 @@ pub struct Lowering {
     standstill: f64,
     /// Smallest distance to the rest pose so far, that of the farthest joint [rad].
     nearest: f64,
+    /// Smallest share of the way to the rest pose left so far, that of the slowest joint.
+    least_left: f64,
     /// True while joints press downward with more than their friction.
     presses: bool,
     /// Largest ratio of requested to allowed speed of the arm's points.
@@ -370,6 +372,7 @@ impl Lowering {
             rest_time: 0.0,
             standstill: 0.0,
             nearest: f64::INFINITY,
+            least_left: 1.0,
             presses: true,
             demand: 0.0,
             goal_speed: 0.0,
@@ -581,9 +584,10 @@ impl Lowering {
         let left: JointVec = std::array::from_fn(|i| {
             if self.is_outward(i, away[i]) { 0.0 } else { (away[i].abs() - ARRIVED).max(0.0) / way[i] }
         });
-        let slowest = left.iter().copied().fold(0.0, f64::max);
+        // A joint that is moved away from the rest pose, as by a hand, must not make the others move back with it.
+        self.least_left = left.iter().copied().fold(0.0, f64::max).min(self.least_left);
         std::array::from_fn(|i| {
-            let ahead = (slowest - left[i]) * way[i] / MAX_AHEAD;
+            let ahead = (self.least_left - left[i]) * way[i] / MAX_AHEAD;
             REST_RATE * away[i] * ((1.0 - ahead).max(0.0) - (ahead - 2.0).clamp(0.0, 1.0))
         })
     }
@@ -618,7 +622,7 @@ impl Lowering {
             }
         }
         if self.saturated_at.iter().all(Option::is_none) {
-            (self.phase_time, self.rest_start) = (0.0, self.q);
+            (self.phase_time, self.rest_start, self.least_left) = (0.0, self.q, 1.0);
         }
     }
 
