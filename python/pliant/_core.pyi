@@ -2817,6 +2817,9 @@ class Lowering:
     def blind(self) -> bool:
         """True if positions have been missing for so long that modelled ones replace them."""
 
+    def skip_rest(self) -> None:
+        """End the motion toward the rest pose: the arm descends from where it is."""
+
     def step(
         self,
         q: ArrayLike,
@@ -2835,8 +2838,8 @@ class Lowering:
 
         Returns:
             The command to write; None if the arm rests and torque can be switched off. Its speed
-            limits are finite only while `blind`, so that a joint that missed packets does not jump
-            to a later goal.
+            limits are finite for joints whose goals were computed while `blind`, until they have a
+            position again, so that a joint that missed packets does not jump to a later goal.
 
         Raises:
             ShapeError: `q` or `ok` does not have n entries; nothing has changed.

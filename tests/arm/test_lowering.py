@@ -327,6 +327,53 @@ def test_leads_that_the_limits_do_not_allow_shrink_before_the_way_to_the_rest_po
     assert min(distances) < 0.03
 
 
+@pytest.mark.parametrize("since", [0.5, 3.0])
+@pytest.mark.parametrize("push", [0.05, 0.1])
+def test_a_hand_that_turns_a_joint_on_the_way_to_the_rest_pose_does_not_make_the_others_go_back(
+    push, since
+):
+    """The base is at its rest position, and a hand holds it off by more than `push` [rad]."""
+    model = robots.so101()
+    q, rest = np.array([0.0, 0.6, 0.3, 0.3, 0.0]), [0.0, 1.5, 0.3, 0.6, 0.0]
+    goal = q + model.gravity(q) / model.servos.kp
+    lowering = Lowering(model, model.servos, q, goal=goal, rest=rest)
+    lifts, time = [], 0.0
+    while lowering.phase == "rest":
+        command = lowering.step(q, dt=0.02)
+        time += 0.02
+        # Servos without delay, each with the lead that its weight needs.
+        q = command.goal - model.gravity(q) / model.servos.kp
+        q[0] += push if since < time < since + 2.0 else 0.0
+        lifts.append(q[1])
+    way_back = np.maximum.accumulate(lifts) - lifts
+    # 0.19 to 0.27 rad, and the tool rises by 16 to 62 mm, if the others go back with the base.
+    assert way_back.max() < 0.005
+
+
+@pytest.mark.parametrize("rest", [None, [-0.4, 0.3, 0.0, -0.8, 0.0, 0.0, 0.0]])
+@pytest.mark.parametrize("skips", [False, True])
+def test_after_a_silence_no_goal_is_far_from_its_joint_whichever_joint_answers_first(
+    model, grasp, rest, skips
+):
+    """The servos have received no goal in the meantime."""
+    lead = model.gravity(grasp) / model.servos.kp
+    lowering = Lowering(model, model.servos, grasp, goal=grasp + lead, rest=rest)
+    for _ in range(200):
+        command = lowering.step(grasp, np.zeros(7, dtype=bool), dt=0.01)
+    far = np.abs(command.goal - grasp - lead) > 0.05
+    assert far.any()
+    has_answered = np.zeros(7, dtype=bool)
+    for joint in [6, 5, 4, 3, 2, 1, 0]:
+        has_answered[joint] = True
+        command = lowering.step(grasp, has_answered, dt=0.01)
+        if skips:
+            lowering.skip_rest()
+        assert np.abs(command.goal - grasp - lead)[has_answered].max() < 0.02
+        # The servo of a silent joint may receive a goal that was computed without positions.
+        assert (command.speed_limit[~has_answered] <= 0.01).all()
+        assert np.isinf(command.speed_limit[has_answered]).all()
+
+
 def test_a_joint_that_creeps_gets_little_torque(model, grasp):
     goal, limit = saturated(model, grasp)
     lowering = Lowering(model, model.servos, grasp, goal=goal, limit=limit)

@@ -417,6 +417,29 @@ def test_an_encoder_that_steps_is_a_fault_and_always_rejected(emulated, enabled,
         assert servo_bus.read().ok.all()
 
 
+@pytest.mark.parametrize("turns", [-1, 1])
+def test_a_single_turn_servo_that_reports_another_turn_gets_no_goal_at_the_end_of_its_encoder(
+    emulated, enabled, turns
+):
+    with emulated("sts", 1, clock="steps") as (bus, servo_bus):
+        limit = enabled(servo_bus)
+        bus.advance(0.01)
+        before = servo_bus.read().position[0]
+        position = bus.servos[0].get("present_position")
+        bus.stick(1, "present_position", position + 4096 * turns)
+        messages = []
+        # After a gap, the joint may have moved far, but not by a turn.
+        for seconds in [*[0.01] * 10, 2.0, 0.01, 0.01]:
+            bus.advance(seconds)
+            sample = servo_bus.read()
+            assert not sample.ok[0]
+            assert sample.position[0] == before
+            servo_bus.write([0.0], limit)
+            messages.append(getattr(servo_bus.poll_status(), "faults", ()))
+            assert abs(bus.servos[0].get("goal_position") - position) < 100
+        assert "joint0: its position jumped by 6.28 rad" in str(messages)
+
+
 @pytest.mark.parametrize("dead", [False, True])
 def test_a_watchdog_that_trips_is_cleared_as_soon_as_it_is_seen(emulated, enabled, dead):
     with emulated("xm", 2, clock="steps") as (bus, servo_bus):

@@ -350,7 +350,8 @@ def descend(
         if lowering.phase == "rest" and (names := io.unfit_joints(now)):
             # Without this joint, the others would move along another path, which may lead upward.
             on_detour(f"{', '.join(names)} may not follow to the rest pose")
-            rest, lowering = None, resumed(lowering, None)
+            rest = None
+            lowering.skip_rest()
         order = lowering.step(io.q, ok, dt=now - before, age=io.delay(now))
         if lowering.phase == "ramp" and io.torque_unknown.any():
             _wait_for_silent(io, rate, is_aborted)
@@ -371,7 +372,7 @@ def descend(
         if on_tick is not None:
             on_tick(lowering)
         with contextlib.suppress(ServoError):
-            speed_limit = order.speed_limit if lowering.blind else None
+            speed_limit = order.speed_limit if np.isfinite(order.speed_limit).any() else None
             io.send(order.goal, order.torque_limit, speed_limit)
         before, deadline = now, max(deadline + period, now)
         clock.wait_until(deadline)

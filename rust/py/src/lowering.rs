@@ -71,6 +71,11 @@ impl Lowering {
         self.core.is_blind()
     }
 
+    #[doc = stub!(Lowering.skip_rest)]
+    fn skip_rest(&mut self) {
+        self.core.skip_rest();
+    }
+
     #[doc = stub!(Lowering.step)]
     #[pyo3(signature = (q, ok=None, *, dt, age=0.0))]
     fn step(

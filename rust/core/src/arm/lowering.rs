@@ -42,7 +42,7 @@ const MIN_SPEED_LIMIT: f64 = 0.01;
 /// Ratio of goal speed to the joint's distance from the rest pose [1/s].
 const REST_RATE: f64 = 4.0;
 /// Angle by which a joint may be ahead of the one that has the largest share of its way to the rest pose left [rad].
-/// Its goal slows down until then, stops there, and moves back beyond.
+/// Its goal slows down until then, stops there, and moves back beyond, but not above the least such share so far.
 const MAX_AHEAD: f64 = 0.03;
 /// Time in which a joint that stands still on the way to the rest pose doubles its push [s].
 const PUSH_GROWTH_TIME: f64 = 0.5;
@@ -253,6 +253,8 @@ pub struct Lowering {
     rest_start: JointVec,
     phase: LoweringPhase,
     blind: bool,
+    /// True for a joint that has had no position since the goals were last computed without positions.
+    behind: [bool; MAX_JOINTS],
     q: JointVec,
     /// Time since the last position of each joint [s].
     silence: JointVec,
@@ -294,6 +296,8 @@ pub struct Lowering {
     standstill: f64,
     /// Smallest distance to the rest pose so far, that of the farthest joint [rad].
     nearest: f64,
+    /// Smallest share of the way to the rest pose left so far, that of the slowest joint.
+    least_left: f64,
     /// True while joints press downward with more than their friction.
     presses: bool,
     /// Largest ratio of requested to allowed speed of the arm's points.
@@ -347,6 +351,7 @@ impl Lowering {
             rest_start: q,
             phase: if rest_q.is_some() { LoweringPhase::Rest } else { LoweringPhase::Down },
             blind: false,
+            behind: [false; MAX_JOINTS],
             q,
             silence: [0.0; MAX_JOINTS],
             goal: q,
@@ -370,6 +375,7 @@ impl Lowering {
             rest_time: 0.0,
             standstill: 0.0,
             nearest: f64::INFINITY,
+            least_left: 1.0,
             presses: true,
             demand: 0.0,
             goal_speed: 0.0,
@@ -416,12 +422,22 @@ impl Lowering {
         self.blind
     }
 
+    /// Ends the motion toward the rest pose: the arm descends from where it is.
+    pub fn skip_rest(&mut self) {
+        if self.phase == LoweringPhase::Rest {
+            self.saturated_at = [None; MAX_JOINTS];
+            self.presses = true;
+            self.start_height = self.points.evaluate(&self.q).tool_height(&self.up);
+            self.enter(LoweringPhase::Down);
+        }
+    }
+
     /// Computes goals, torque limits and speed limits of one tick; `None` if torque can be switched off.
     ///
     /// `q` are the last positions of the n joints [rad], `fresh` marks those that are new; NaN and |q| > 10⁶ rad count
     /// as lost. `dt` is the time since the last tick [s], `age` the age of the goals that were in force when q was
-    /// sampled [s]. Speed limits [rad/s] are finite only while no positions arrive, so that a joint that missed packets
-    /// does not jump to a later goal.
+    /// sampled [s]. Speed limits [rad/s] are finite for joints whose goals were computed without positions, until they
+    /// have a position again, so that a joint that missed packets does not jump to a later goal.
     ///
     /// # Errors
     /// [`Error::Shape`] if `q` or `fresh` does not have n entries; the state is then unchanged.
@@ -447,14 +463,12 @@ impl Lowering {
         let mut speed_limit = [f64::INFINITY; MAX_JOINTS];
         if good.contains(&true) {
             for i in (0..self.n).filter(|i| good[*i]) {
-                if !self.blind {
+                if !self.behind[i] {
                     self.observe_step(i, (q[i] - self.q[i]).abs());
                 }
                 self.q[i] = q[i];
             }
-            if self.blind {
-                self.resume_measured();
-            }
+            self.resume_measured(&good);
             let goal = self.goal_before(age);
             for i in (0..self.n).filter(|i| good[*i]) {
                 self.lead[i] = goal[i] - self.q[i];
@@ -531,6 +545,10 @@ impl Lowering {
                 let rate = if dt > 0.0 { (self.goal[i] - before[i]).abs() / dt } else { 0.0 };
                 speed_limit[i] = (1.25 * rate).max(MIN_SPEED_LIMIT);
             }
+        } else {
+            for i in (0..self.n).filter(|i| self.behind[*i]) {
+                speed_limit[i] = MIN_SPEED_LIMIT;
+            }
         }
     }
 
@@ -581,9 +599,10 @@ impl Lowering {
         let left: JointVec = std::array::from_fn(|i| {
             if self.is_outward(i, away[i]) { 0.0 } else { (away[i].abs() - ARRIVED).max(0.0) / way[i] }
         });
-        let slowest = left.iter().copied().fold(0.0, f64::max);
+        // A joint that is moved away from the rest pose, as by a hand, must not make the others move back with it.
+        self.least_left = left.iter().copied().fold(0.0, f64::max).min(self.least_left);
         std::array::from_fn(|i| {
-            let ahead = (slowest - left[i]) * way[i] / MAX_AHEAD;
+            let ahead = (self.least_left - left[i]) * way[i] / MAX_AHEAD;
             REST_RATE * away[i] * ((1.0 - ahead).max(0.0) - (ahead - 2.0).clamp(0.0, 1.0))
         })
     }
@@ -618,7 +637,7 @@ impl Lowering {
             }
         }
         if self.saturated_at.iter().all(Option::is_none) {
-            (self.phase_time, self.rest_start) = (0.0, self.q);
+            (self.phase_time, self.rest_start, self.least_left) = (0.0, self.q, 1.0);
         }
     }
 
@@ -879,6 +898,7 @@ impl Lowering {
     fn go_blind(&mut self) {
         if !self.blind {
             self.blind = true;
+            self.behind = [true; MAX_JOINTS];
             let gravity = self.gravity();
             self.unmodelled_lead = std::array::from_fn(|i| self.goal[i] - self.q[i] - gravity[i] / self.kp[i]);
         }
@@ -892,17 +912,22 @@ impl Lowering {
         }
     }
 
-    /// Returns to measured positions; moves the goals to them, because they may be far from those of the model.
-    fn resume_measured(&mut self) {
-        self.blind = false;
-        self.positions.restart(self.time, &self.q);
-        // While the limits fall, `release` keeps the goals near the positions.
-        if self.phase == LoweringPhase::Ramp {
+    /// Returns to measured positions after [`Self::go_blind`]; moves the goal of each joint that has one again to its
+    /// position, because it may be far from that of the model.
+    fn resume_measured(&mut self, good: &[bool; MAX_JOINTS]) {
+        let back: [bool; MAX_JOINTS] = std::array::from_fn(|i| self.behind[i] && good[i]);
+        if !back.contains(&true) {
             return;
         }
+        self.blind = false;
+        self.positions.restart(self.time, &self.q);
         let gravity = self.gravity();
-        for i in 0..self.n {
-            self.goal[i] = self.q[i] + gravity[i] / self.kp[i] + self.unmodelled_lead[i];
+        for i in (0..self.n).filter(|i| back[*i]) {
+            self.behind[i] = false;
+            // While the limits fall, `release` keeps the goals near the positions.
+            if self.phase != LoweringPhase::Ramp {
+                self.goal[i] = self.q[i] + gravity[i] / self.kp[i] + self.unmodelled_lead[i];
+            }
         }
     }
 }

@@ -175,19 +175,25 @@ impl Servo {
         (turns, raw + turns * units.turn)
     }
 
-    /// Returns true if the joint can have reached `position` [counts] at `time` [s].
+    /// Returns true if the joint can have reached `position` [counts], `turns` included, at `time` [s].
+    ///
+    /// A single-turn servo that stands within its encoder cannot report another turn: goals at the end of its encoder
+    /// would move it through its range.
     ///
     /// The accepted distance grows with the time since the last accepted position; after an implausible position, only
     /// with gaps of more than 0.1 s between readings.
-    fn is_reachable(&mut self, position: f64, time: f64) -> bool {
+    fn is_reachable(&mut self, position: f64, turns: f64, time: f64) -> bool {
         let Some(last) = self.reading.position else { return true };
         let gap = time - self.last;
         self.last = time;
         if self.rejected == 0 || gap > READING_GAP {
             self.allowed += gap;
         }
-        let jump = (position - last).abs() * self.units.count;
-        if jump <= (PUSHED_SPEED * self.units.no_load_speed).mul_add(self.allowed, JUMP_MARGIN) {
+        let units = &self.units;
+        let is_within = units.multi_turn <= 0.0 && (0.0..=units.max_position).contains(&position);
+        let added = if is_within { turns.abs() * units.turn } else { 0.0 };
+        let jump = ((position - last).abs() + added) * units.count;
+        if added == 0.0 && jump <= (PUSHED_SPEED * units.no_load_speed).mul_add(self.allowed, JUMP_MARGIN) {
             (self.rejected, self.allowed) = (0, 0.0);
             return true;
         }
@@ -338,7 +344,7 @@ impl ServoCodec {
         let accepts_any = before.position.is_none() || servo.allowed.is_infinite();
         if accepts_any {
             (servo.rejected, servo.allowed, servo.last) = (0, 0.0, time);
-        } else if !servo.is_reachable(position, time) {
+        } else if !servo.is_reachable(position, turns, time) {
             return Ok(Decoded::Implausible);
         }
         let is_supplied = voltage.is_none_or(|voltage| voltage as f64 >= servo.units.min_voltage);
