@@ -1,5 +1,6 @@
 """Ready arms stand on a table and have a rest pose on it."""
 
+import re
 from inspect import signature
 from pathlib import Path
 
@@ -130,6 +131,36 @@ def test_an_arm_with_a_blocked_path_to_rest_is_lowered_straight_down():
     assert plant.q[1] > lift - 0.1, "it did not lean back"
     assert table.clearance() > -2e-3
     assert table.touching
+
+
+# In brackets: smallest distance from the rest pose where the other joints turned back.
+@pytest.mark.parametrize(
+    "q",
+    [
+        [1.047, -1.731, -1.074, 0.59, -0.255],  # (1.6 rad)
+        [-0.344, -1.735, 0.172, -0.772, 1.195],  # (0.9 rad)
+    ],
+)
+def test_a_joint_at_its_rest_position_that_its_load_pulls_off_does_not_turn_the_others_back(q):
+    arm = pliant.connect("so101", backend="sim", q=q, handle_signals=False)
+    distances = []
+    with arm:
+        arm.clock.on_tick = lambda: distances.append(np.abs(arm.drive.plant.q - arm.rest_q).max())
+        arm.park()
+    assert min(distances) < 0.03
+    on_way = np.array(distances[: int(np.argmin(distances))])
+    assert (on_way - np.minimum.accumulate(on_way)).max() < 0.05
+    assert arm.detour is None
+
+
+def test_an_arm_that_is_too_weak_for_the_way_to_its_rest_pose_says_so():
+    q = [1.58, -1.06, -0.41, 0.52, -1.89]
+    arm = pliant.connect("so101", backend="sim", q=q, kp_scale=0.3, handle_signals=False)
+    with arm:
+        arm.park()
+    assert re.fullmatch(
+        r"the arm gets no closer to the rest pose, \w+ is [12]\.\d\d rad away", arm.detour
+    )
 
 
 def test_a_rest_pose_inside_the_table_is_refused():

@@ -285,6 +285,8 @@ MAX_SILENCE = 2.0
 MAX_RESTARTS = 2
 #: Time for which an arm at rest waits for joints whose torque is unknown, before torque off [s].
 UNKNOWN_TIME = 20.0
+#: Distance of a joint from the rest pose from which on the pose counts as missed [rad].
+MISSED_POSE = 0.05
 
 
 def descend(
@@ -352,7 +354,10 @@ def descend(
             on_detour(f"{', '.join(names)} may not follow to the rest pose")
             rest = None
             lowering.skip_rest()
+        is_on_way = lowering.phase == "rest"
         order = lowering.step(io.q, ok, dt=now - before, age=io.delay(now))
+        if is_on_way and lowering.phase != "rest" and (reason := _missed_pose(io, rest, lowering)):
+            on_detour(reason)
         if lowering.phase == "ramp" and io.torque_unknown.any():
             _wait_for_silent(io, rate, is_aborted)
             lowering = resumed(lowering, rest)
@@ -377,6 +382,21 @@ def descend(
         before, deadline = now, max(deadline + period, now)
         clock.wait_until(deadline)
     return False
+
+
+def _missed_pose(io: ArmIO, rest: Array | None, lowering: Lowering) -> str | None:
+    """Return a text about an arm that stands away from its rest pose; None if it is there.
+
+    In a blind descent the positions are not known, and the result is None.
+    """
+    if rest is None or lowering.blind:
+        return None
+    away = np.abs(np.asarray(rest) - io.q)
+    joint = int(np.argmax(away))
+    if away[joint] < MISSED_POSE:
+        return None
+    name = io.model.joint_names[joint]
+    return f"the arm gets no closer to the rest pose, {name} is {away[joint]:.2f} rad away"
 
 
 def _wait_for_silent(io: ArmIO, rate: float, is_aborted: Callable[[], bool]) -> None:

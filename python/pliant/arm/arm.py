@@ -260,8 +260,8 @@ class Arm:
     def park(self, pose: ArrayLike | None = None) -> None:
         """Move to a pose (n,) [rad], by default the rest pose, and lower the arm there.
 
-        The path is straight in joint space. If the table blocks it, the arm is lowered from its
-        present pose instead, see `detour`.
+        The path is straight in joint space. If the table blocks it, or the arm gets no closer to
+        the pose, the arm is lowered from where it is instead, see `detour`.
 
         Raises:
             ConfigError, ShapeError, OutOfRangeError: The pose is not valid, or inside the table;

@@ -44,6 +44,9 @@ const REST_RATE: f64 = 4.0;
 /// Angle by which a joint may be ahead of the one that has the largest share of its way to the rest pose left [rad].
 /// Its goal slows down until then, stops there, and moves back beyond, but not above the least such share so far.
 const MAX_AHEAD: f64 = 0.03;
+/// Least way to the rest pose with which the share that a joint has left of it is computed [rad], or the longest way of a
+/// joint if that is less. With less, a joint that its load pulls off its rest position would make the others turn back.
+const MIN_WAY: f64 = 0.2;
 /// Time in which a joint that stands still on the way to the rest pose doubles its push [s].
 const PUSH_GROWTH_TIME: f64 = 0.5;
 /// Ratio of goal speed to the excess of the lead when descending without a rest pose [1/s].
@@ -596,14 +599,19 @@ impl Lowering {
         // A joint whose load is too heavy stands still. If the others moved on, they might lift the tool, so all joints stay
         // near the straight line from the start to the rest pose.
         let way: JointVec = std::array::from_fn(|i| (rest[i] - self.rest_start[i]).abs().max(ARRIVED));
+        let min_way = way.iter().copied().fold(0.0, f64::max).min(MIN_WAY);
         let left: JointVec = std::array::from_fn(|i| {
-            if self.is_outward(i, away[i]) { 0.0 } else { (away[i].abs() - ARRIVED).max(0.0) / way[i] }
+            let share = ((away[i].abs() - ARRIVED) / way[i].max(min_way)).clamp(0.0, 1.0);
+            if self.is_outward(i, away[i]) { 0.0 } else { share }
         });
         // A joint that is moved away from the rest pose, as by a hand, must not make the others move back with it.
         self.least_left = left.iter().copied().fold(0.0, f64::max).min(self.least_left);
         std::array::from_fn(|i| {
-            let ahead = (self.least_left - left[i]) * way[i] / MAX_AHEAD;
-            REST_RATE * away[i] * ((1.0 - ahead).max(0.0) - (ahead - 2.0).clamp(0.0, 1.0))
+            // A joint with a short way does not wait: it would first move away from its rest position.
+            let ahead = if way[i] < min_way { 0.0 } else { (self.least_left - left[i]) * way[i] / MAX_AHEAD };
+            // `pace` scales all joints alike: a fast return would leave no speed to the joint that the others wait for.
+            let back = MAX_AHEAD * (ahead - 2.0).max(0.0);
+            REST_RATE * (away[i] * (1.0 - ahead).max(0.0) - sign(away[i]) * back.min(away[i].abs()))
         })
     }
 
