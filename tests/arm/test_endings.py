@@ -615,7 +615,11 @@ class Descent:
         assert ok.all() == (not self.silent)
         if self.left == self.orders - 2:
             self.time += self.stall
-        return None if self.left < 0 else SimpleNamespace(goal=q, torque_limit=q, speed_limit=self.speed_limit)
+        return (
+            None
+            if self.left < 0
+            else SimpleNamespace(goal=q, torque_limit=q, speed_limit=self.speed_limit)
+        )
 
     def sample(self):
         self.samples += 1
