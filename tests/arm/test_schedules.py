@@ -192,7 +192,8 @@ class Descent:
         if self._hardware.periods_left == 0:
             return None
         limit = np.full(MODEL.n, DESCENT_LIMIT)
-        return SimpleNamespace(goal=np.zeros(MODEL.n), torque_limit=limit, speed_limit=None)
+        free = np.full(MODEL.n, np.inf)
+        return SimpleNamespace(goal=np.zeros(MODEL.n), torque_limit=limit, speed_limit=free)
 
 
 class Messages:
