@@ -16,7 +16,7 @@ def run(
 
     Args:
         log: MCAP file of `pliant run --log` or `pliant.log.Recorder`.
-        output: Folder for report.html and its figures. Default: LOG_report beside the log.
+        output: Output path. A folder for report.html and figures; default: LOG_report.
     """
     from pliant.log import read
     from pliant.log.report import report
