@@ -189,7 +189,9 @@ def test_torque_waits_until_every_joint_has_answered():
 def test_the_fastest_of_three_readings_decides(first, others, required, outcome, readings):
     reader = Reader(*others)
     if outcome == "refused":
-        with pytest.raises(pliant.ServoError, match=r"takes 500 ms, .* or reduce the rate, .* to 1 Hz"):
+        with pytest.raises(
+            pliant.ServoError, match=r"takes 500 ms, .* or reduce the rate, .* to 1 Hz"
+        ):
             check_reading_time(reader, first, 100.0, required=required)
     else:
         text = check_reading_time(reader, first, 100.0, required=required)
