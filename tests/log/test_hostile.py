@@ -82,13 +82,9 @@ def with_run(content, run):
     def change(kind, body):
         if kind != ATTACHMENT:
             return body
-        offset = 16
-        size = struct.unpack_from("<I", body, offset)[0]
-        name = body[offset + 4 : offset + 4 + size].decode()
+        name, offset = attachment(body)
         if name != layout.RUN:
             return body
-        offset += 4 + size
-        offset += 4 + struct.unpack_from("<I", body, offset)[0]
         text = json.dumps(run).encode()
         body = body[:offset] + struct.pack("<Q", len(text)) + text
         return body + struct.pack("<I", zlib.crc32(body))
@@ -96,11 +92,23 @@ def with_run(content, run):
     return rebuild(content, change)
 
 
+def attachment(body):
+    """Return the name of an attachment, and the offset of the length of its data [bytes]."""
+    offset = 16
+    size = struct.unpack_from("<I", body, offset)[0]
+    name = body[offset + 4 : offset + 4 + size].decode()
+    offset += 4 + size
+    return name, offset + 4 + struct.unpack_from("<I", body, offset)[0]
+
+
 def description_of(content):
     """Return the description of the run from the file."""
     for kind, body in records(content):
-        if kind == ATTACHMENT and layout.RUN.encode() in body[:100]:
-            return json.loads(body[body.index(b"{") : -4])
+        if kind == ATTACHMENT:
+            name, offset = attachment(body)
+            if name == layout.RUN:
+                # Times and lengths before the data may contain the byte of an opening brace.
+                return json.loads(body[offset + 8 : -4])
     raise AssertionError("no description")
 
 
