@@ -23,8 +23,8 @@ def run(log: LogFile, *, output: File = None, parquet: bool = False) -> None:
 
     Args:
         log: MCAP file of `pliant run --log` or `pliant.log.Recorder`.
-        output: Output path. A file ending in .npz, or .parquet with --parquet. Default: beside log,
-            with its name.
+        output: Output path. A file ending in .npz, or .parquet with --parquet. Default: beside the
+            log, with its name.
         parquet: Write Parquet instead of NumPy's npz (needs pyarrow).
     """
     from pliant.log import read

@@ -37,8 +37,8 @@ def run(log: LogFile, *, output: File = None) -> None:
 
     Args:
         log: MCAP file of `pliant run --log` or `pliant.log.Recorder`.
-        output: Output path. A file ending in .png, .svg or .pdf. Default: .png beside log, with its
-            name.
+        output: Output path. A file ending in .png, .svg or .pdf. Default: a .png beside the log,
+            with its name.
     """
     from pliant.log import read
 
