@@ -30,7 +30,7 @@ arm = pliant.sim.Plant(
 arm.reset(START)
 table = model.servos.replace(encoder_step=np.deg2rad(0.088), stiffness_known=False)
 
-# 1. Capture gravity in place: four seconds without motion.
+# 1. Measure the gravity torques without motion, in four seconds.
 settings = pliant.Settings.soft("y")
 controller = pliant.Controller(model, settings, table)
 print(f"capture\n{pliant.identify.capture_gravity(arm, controller)}\n")

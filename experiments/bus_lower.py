@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 import tyro
 
-from experiments import program
+from experiments import command_line, markdown
 from experiments.emulated_arm import FAMILIES, configuration, stepped
 from experiments.faults import RATE, PeakRecorder
 from experiments.lifecycle import AFTER, LOAD, TABLE, postures
@@ -130,26 +130,26 @@ def main(
         "of which rests [N]",
         "takes [s]",
     )
-    print(program.head(columns))
+    print(markdown.head(columns))
     results: list[LowerResult] = []
     for name, load, over_table in CASES:
         results = [lower(family, q, load=load, over_table=over_table) for q in starts]
         cells = (
-            program.worst((result.sank for result in results), 0, 1e3),
-            program.worst((result.left for result in results), 0, 1e3),
-            program.worst((result.lifted for result in results), 2),
-            program.worst((result.speed for result in results), 2),
-            program.worst((result.force for result in results), 1) if over_table else "",
-            program.worst((result.resting for result in results), 1) if over_table else "",
-            program.worst((result.seconds for result in results), 0),
+            markdown.worst((result.sank for result in results), 0, 1e3),
+            markdown.worst((result.left for result in results), 0, 1e3),
+            markdown.worst((result.lifted for result in results), 2),
+            markdown.worst((result.speed for result in results), 2),
+            markdown.worst((result.force for result in results), 1) if over_table else "",
+            markdown.worst((result.resting for result in results), 1) if over_table else "",
+            markdown.worst((result.seconds for result in results), 0),
         )
-        print(program.row((name, *cells)), flush=True)
+        print(markdown.row((name, *cells)), flush=True)
     rows = [
         ("force", *(f"{result.force:.1f}" for result in results)),
         ("rests", *(f"{result.resting:.1f}" for result in results)),
     ]
-    print("\n" + program.markdown(("pose", *(str(k) for k in range(len(results)))), rows))
+    print("\n" + markdown.table(("pose", *(str(k) for k in range(len(results)))), rows))
 
 
 if __name__ == "__main__":
-    program.start(main)
+    command_line.start(main)

@@ -16,7 +16,7 @@ import numpy as np
 import tyro
 
 import pliant
-from experiments import program
+from experiments import command_line, markdown
 from experiments.emulated_arm import FAMILIES, configuration, emulator
 from pliant.arm import Arm
 from pliant.config import factory
@@ -133,7 +133,7 @@ def main(cycles: tyro.conf.Positional[int] = 1000) -> None:
         "untimed [Hz]",
         "processor at 100 Hz",
     )
-    print(program.head(columns))
+    print(markdown.head(columns))
     for family in FAMILIES:
         with_times = measure(family, cycles, is_timed=True)
         without_times = measure(family, cycles, is_timed=False)
@@ -143,9 +143,11 @@ def main(cycles: tyro.conf.Positional[int] = 1000) -> None:
             f"{with_times.ratio:.0%}",
         ]
         rates += [f"{1e3 * with_times.late:.1f}", f"{1.0 / without_times.median:.0f}"]
-        print(program.row((MODELS[family], *rates, f"{share(family, CONTROLLED):.0%}")), flush=True)
+        print(
+            markdown.row((MODELS[family], *rates, f"{share(family, CONTROLLED):.0%}")), flush=True
+        )
     print(f"load of the machine: {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors")
 
 
 if __name__ == "__main__":
-    program.start(main)
+    command_line.start(main)

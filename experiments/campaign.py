@@ -27,10 +27,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import pliant
-from experiments import controllers, goals, program
+from experiments import command_line, controllers, goals, markdown
 from experiments.arms import AXES, ROBOTS, available, load
 from experiments.controllers import NO_RATE_LIMITS
-from experiments.program import write_results
+from experiments.results import write_results
 from experiments.runner import run_jobs
 from experiments.simulation import NOMINAL, Conditions, closed_loop
 from experiments.spring_hand import OF_CAPACITY, Grip
@@ -656,7 +656,7 @@ def text(rows: Sequence[Row]) -> str:
         cells += [f"{100.0 * value:.1f}" for value in (*shares, *errors)]
         cells += [f"{r.drift:.1f}", f"{100.0 * r.drift_kept:.0f}", "yes" if r.met else "NO"]
         lines.append(cells)
-    return program.markdown(COLUMNS, lines)
+    return markdown.table(COLUMNS, lines)
 
 
 def save_results(
@@ -771,7 +771,7 @@ def gears_text() -> str:
 def main(
     *,
     poses: int = POSES,
-    arm: program.Arms = (),
+    arm: command_line.Arms = (),
     jobs: int = 2,
     out: Path = Path("pliant-campaign"),
     friction: bool = False,
@@ -809,4 +809,4 @@ def main(
 
 
 if __name__ == "__main__":
-    program.start(main)
+    command_line.start(main)

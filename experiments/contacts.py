@@ -17,9 +17,10 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 import pliant
-from experiments import program
+from experiments import command_line, markdown
 from experiments.arms import load
 from experiments.campaign import REAL_GEARS
+from experiments.results import write_results
 from experiments.runner import run_jobs
 from experiments.simulation import scaled
 from pliant.robots import COUNT_12_BIT
@@ -497,7 +498,7 @@ def text(rows: Sequence[RuleResult]) -> str:
         cells += [str(r.strong), f"{100 * r.missed:.1f}"]
         cells += [f"{1e3 * value:.0f}" for value in (*r.late, *r.after)] + [f"{r.force:.1f}"]
         lines.append(cells)
-    return program.markdown(columns, lines)
+    return markdown.table(columns, lines)
 
 
 def draw(folder: Path, rows: Sequence[RuleResult]) -> None:
@@ -638,10 +639,10 @@ def main(
         print({name: round(value, 4) for name, value in facts[case.name].items()}, flush=True)
         rows += rule_results
     options = {"contacts": contacts, "minutes": minutes, "facts": facts}
-    program.write_results(out, {**options, "rows": [asdict(row) for row in rows]})
+    write_results(out, {**options, "rows": [asdict(row) for row in rows]})
     draw(out, rows)
     print(f"contacts: {out / 'results.json'}, {out / 'contacts.png'}")
 
 
 if __name__ == "__main__":
-    program.start(main)
+    command_line.start(main)

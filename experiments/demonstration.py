@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from experiments import provenance, report
 from experiments.chapters import activation, caps, comparison, doors, static, tracking
 from experiments.chapters.common import Options
-from experiments.program import write_results
+from experiments.results import write_results
 from experiments.runner import Job, draw_off_screen, run_by_key
 from pliant import ConfigError
 

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import tyro
 
-from experiments import program
+from experiments import command_line, markdown
 from experiments.arms import BESIDE, ROBOTS, load, ranges
 from experiments.runner import run_jobs
 from experiments.sheet import POSES
@@ -678,7 +678,7 @@ def _lines(
                 f"#{runs[worst][0].number}"
             )
         if cells:
-            lines.append(program.row((f"{name}, {case}", len(runs), *cells)))
+            lines.append(markdown.row((f"{name}, {case}", len(runs), *cells)))
     return lines
 
 
@@ -710,7 +710,7 @@ COLUMNS = (
 
 def main(
     *,
-    arm: program.Arms = (),
+    arm: command_line.Arms = (),
     poses: int = 50,
     seed: int = 0,
     jobs: int = 1,
@@ -736,7 +736,7 @@ def main(
         cycle: Time that a command takes on the simulated bus [s].
     """
     columns = HAND_COLUMNS if hand else PARK_COLUMNS if park else COLUMNS
-    print(program.head(columns), flush=True)
+    print(markdown.head(columns), flush=True)
     for name in arm or ARMS:
         if not is_here(name):
             print(f"{name}: its URDF is not available, skipped")
@@ -767,4 +767,4 @@ def main(
 
 
 if __name__ == "__main__":
-    program.start(main)
+    command_line.start(main)

@@ -17,7 +17,7 @@ import numpy as np
 import tyro
 
 import pliant
-from experiments import program
+from experiments import command_line, markdown
 from experiments.emulated_arm import PATIENCE, stepped
 from experiments.poses import displaced
 from pliant.emulator.faults import KINDS
@@ -606,8 +606,8 @@ def table(only: str = "") -> str:
     for case in FAULT_CASES:
         if only in case.title:
             rows.append(row(case, run_fault(case), run_fault(case, held=True)))
-            print(program.row(rows[-1]), file=sys.stderr, flush=True)
-    return program.markdown(columns, rows)
+            print(markdown.row(rows[-1]), file=sys.stderr, flush=True)
+    return markdown.table(columns, rows)
 
 
 def row(case: FaultCase, alone: FaultResult, held: FaultResult) -> tuple[str, ...]:
@@ -628,4 +628,4 @@ def main(title: tyro.conf.Positional[str] = "") -> None:
 
 
 if __name__ == "__main__":
-    program.start(main)
+    command_line.start(main)

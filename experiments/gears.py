@@ -21,7 +21,7 @@ import numpy as np
 import tyro
 
 import pliant
-from experiments import controllers, metrics, program
+from experiments import command_line, controllers, markdown, metrics
 from experiments.campaign import REAL_GEARS
 from experiments.poses import pull
 from experiments.runner import Job, run_by_key
@@ -550,7 +550,7 @@ def text(rows: Mapping[Row, Sequence[Result]]) -> str:
             for name, digits in (("drag", 1), ("door", 1), ("angle", 0))
         ]
         lines.append((*row, *figures, *prices([result.rest for result in results])))
-    return program.markdown((*columns, *PRICES), lines)
+    return markdown.table((*columns, *PRICES), lines)
 
 
 def rest_text(rows: Mapping[Row, Sequence[Rest]]) -> str:
@@ -571,13 +571,13 @@ def rest_text(rows: Mapping[Row, Sequence[Rest]]) -> str:
         )
         for row, results in rows.items()
     ]
-    return program.markdown(columns, lines)
+    return markdown.table(columns, lines)
 
 
 def main(
     *,
-    arm: program.Arms = (),
-    remedy: program.Arms = (),
+    arm: command_line.Arms = (),
+    remedy: command_line.Arms = (),
     exact: bool = False,
     minutes: float = 0.05,
     rest_only: bool = False,
@@ -628,4 +628,4 @@ def main(
 
 
 if __name__ == "__main__":
-    program.start(main)
+    command_line.start(main)

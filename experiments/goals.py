@@ -15,7 +15,15 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 import tyro
 
-from experiments import cap_accuracy, controllers, disturbances, doors, program, tracking
+from experiments import (
+    cap_accuracy,
+    command_line,
+    controllers,
+    disturbances,
+    doors,
+    markdown,
+    tracking,
+)
 from experiments.poses import AXES
 from experiments.simulation import NOMINAL, Conditions
 from pliant import Tracking
@@ -451,7 +459,7 @@ def text(rows: list[Row]) -> str:
         value = "" if row.goal_uncertain is None else f"{row.reached_uncertain:.3g}"
         first = (row.scenario, f"`{row.preset}`", row.figure, row.goal, f"{row.reached:.3g}")
         lines.append((*first, second, value, "yes" if row.met else "NO"))
-    return program.markdown(columns, lines)
+    return markdown.table(columns, lines)
 
 
 # --- Drag and door experiments at all rates, delays and errors ---
@@ -502,7 +510,7 @@ def comparison(measures: Mapping[str, Measure], conditions: Mapping[str, Conditi
     for scene, measure in measures.items():
         figures = [measure(item) for item in conditions.values()]
         rows += [(scene, name, *(f"{item[name]:.3g}" for item in figures)) for name in figures[0]]
-    return program.markdown(("scene", "figure", *conditions), rows)
+    return markdown.table(("scene", "figure", *conditions), rows)
 
 
 def main(only: Annotated[str, tyro.conf.Positional] = "", creep: float = 1.0) -> None:
@@ -521,4 +529,4 @@ def main(only: Annotated[str, tyro.conf.Positional] = "", creep: float = 1.0) ->
 
 
 if __name__ == "__main__":
-    program.start(main)
+    command_line.start(main)

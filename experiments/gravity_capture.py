@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 import pliant
-from experiments import program
+from experiments import command_line, markdown
 from experiments.arms import load
 from experiments.runner import Job, run_by_key
 from experiments.simulation import closed_loop
@@ -78,7 +78,7 @@ def try_capture(
 
 def main(
     *,
-    arm: program.Arms = (),
+    arm: command_line.Arms = (),
     poses: int = 20,
     eta: float = 0.999,
     creep: float = 1.0,
@@ -118,8 +118,8 @@ def main(
         "neither [%]",
         "of those that stay, below 5 mm for 8 s more [%]",
     )
-    print(program.markdown(columns, rows))
+    print(markdown.table(columns, rows))
 
 
 if __name__ == "__main__":
-    program.start(main)
+    command_line.start(main)

@@ -27,7 +27,7 @@ import numpy as np
 
 import pliant
 import pliant.teach
-from experiments import program
+from experiments import command_line, markdown
 from pliant.config import load
 from pliant.config.factory import make_arm, make_emulator
 from pliant.config.loader import builtin_text, parse
@@ -318,8 +318,8 @@ def is_running(pid: int) -> bool:
 
 def main(
     *,
-    arm: program.Arms = (),
-    ending: program.Arms = (),
+    arm: command_line.Arms = (),
+    ending: command_line.Arms = (),
     instants: int = 50,
     jobs: int = 2,
     starts: int = 10,
@@ -335,26 +335,26 @@ def main(
     """
     phases = tuple(PHASES)
     memory: list[float] = []
-    print(program.head(COLUMNS), flush=True)
+    print(markdown.head(COLUMNS), flush=True)
     for robot, how in product(arm or ARMS, ending or ENDINGS):
         turns = (divmod(i, len(phases)) for i in range(instants))
         cases = [Case(robot, phases[phase], how, seed) for seed, phase in turns]
         with ThreadPoolExecutor(jobs) as pool:
             found = list(pool.map(run, cases))
-        print(program.row(cells(cases, found)), flush=True)
+        print(markdown.row(cells(cases, found)), flush=True)
         memory += [one["memory"] for one in found]
         for case, one in zip(cases, found, strict=True):
             if wrong := violations(one):
                 print(case, wrong, one, file=sys.stderr, flush=True)
     if memory:
-        print(f"\nmemory of its own [MB]: {program.worst(memory, 1)}")
+        print(f"\nmemory of its own [MB]: {markdown.worst(memory, 1)}")
     times: dict[bool, list[float]] = {False: [], True: []}
     for _ in range(starts):
         for guardian, found_times in times.items():
             found_times.append(enabling_time("so101", guardian=guardian))
     for guardian, found_times in times.items():
         if found_times:
-            print(f"enable, guardian={guardian} [s]: {program.worst(found_times, 2)}")
+            print(f"enable, guardian={guardian} [s]: {markdown.worst(found_times, 2)}")
 
 
 def enabling_time(robot: str, *, guardian: bool) -> float:
@@ -407,13 +407,13 @@ def cells(cases: list[Case], found: list[dict[str, Any]]) -> list[str]:
         cases[0].robot,
         cases[0].ending,
         f"{sum(not violations(one) for one in found)} of {len(found)}",
-        program.worst(firsts, 2) if firsts else "",
-        program.worst([run["sags"] for run in on], 0, 1e3),
-        program.worst([run["speed"] for run in on], 2),
-        program.worst([run["falls"] for run in on], 2),
-        program.worst([run["takes"] for run in on], 0),
+        markdown.worst(firsts, 2) if firsts else "",
+        markdown.worst([run["sags"] for run in on], 0, 1e3),
+        markdown.worst([run["speed"] for run in on], 2),
+        markdown.worst([run["falls"] for run in on], 2),
+        markdown.worst([run["takes"] for run in on], 0),
     ]
 
 
 if __name__ == "__main__":
-    program.start(main)
+    command_line.start(main)

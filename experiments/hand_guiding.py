@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import pliant
-from experiments import program
+from experiments import command_line, markdown
 from experiments.arms import load
 from experiments.runner import Job, run_by_key
 from pliant.sim import Drag, ForceProfile, Plant
@@ -127,7 +127,7 @@ def guide(
 
 def main(
     *,
-    arm: program.Arms = (),
+    arm: command_line.Arms = (),
     poses: int = 20,
     jobs: int = 2,
     creep: float = CREEP,
@@ -177,7 +177,7 @@ def main(
         rows.append(
             (name, f"{kp:g}", _spread(idle), share, *map(_spread, (force, sag, later, swing)))
         )
-    print(program.markdown(columns, rows))
+    print(markdown.table(columns, rows))
 
 
 def _spread(values: Array) -> str:
@@ -186,4 +186,4 @@ def _spread(values: Array) -> str:
 
 
 if __name__ == "__main__":
-    program.start(main)
+    command_line.start(main)

@@ -17,8 +17,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import pliant
-from experiments import program
+from experiments import command_line, markdown
 from experiments.arms import AXES, Arm, load
+from experiments.results import write_results
 from experiments.runner import run_jobs
 from experiments.simulation import closed_loop
 from experiments.spring_hand import OF_CAPACITY, Grip
@@ -239,11 +240,11 @@ def text(pushes: Sequence[HostLossPush]) -> str:
             share = f"{100 * np.mean([m.allowed for m in not_walled]):.1f}"
             rows.append((f"{arm}, {unit}", len(selected), walled, *cells, share))
     last_columns = ("felt − reported: 95th %", "largest", "within the allowance %")
-    return program.markdown((*columns, *last_columns), rows)
+    return markdown.table((*columns, *last_columns), rows)
 
 
 def main(
-    *, poses: int = POSES, arm: program.Arms = (), jobs: int = 2, out: Path | None = None
+    *, poses: int = POSES, arm: command_line.Arms = (), jobs: int = 2, out: Path | None = None
 ) -> None:
     """Drag arms after a host loss.
 
@@ -261,8 +262,8 @@ def main(
     pushes = [push for result in run_jobs(work, jobs, "host loss") for push in result]
     print(text(pushes))
     if out is not None:
-        program.write_results(out, {"pushes": [asdict(push) for push in pushes]})
+        write_results(out, {"pushes": [asdict(push) for push in pushes]})
 
 
 if __name__ == "__main__":
-    program.start(main)
+    command_line.start(main)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import pliant
-from experiments import controllers, goals, program
+from experiments import command_line, controllers, goals, markdown
 from experiments.runner import Job, run_by_key
 from experiments.simulation import Conditions
 from pliant import identify, robots
@@ -297,7 +297,7 @@ COLUMNS = (
 
 
 def main(
-    *, arm: program.Arms = (), span: float = 0.4, jobs: int = 2, before_and_after: bool = True
+    *, arm: command_line.Arms = (), span: float = 0.4, jobs: int = 2, before_and_after: bool = True
 ) -> None:
     """Identify the servos of simulated arms; print errors as median / worst over the joints.
 
@@ -313,12 +313,12 @@ def main(
         for case in CASES
     ]
     outcomes = run_by_key(work, jobs)
-    print(program.markdown(COLUMNS, (line(outcome) for outcome in outcomes.values())))
+    print(markdown.table(COLUMNS, (line(outcome) for outcome in outcomes.values())))
     if before_and_after:
         table = rows(span)
         print()
         print(
-            program.markdown(
+            markdown.table(
                 ("figure", *(name for name, _ in table)),
                 (
                     (figure, *(f"{figures[figure]:.2f}" for _, figures in table))
@@ -329,4 +329,4 @@ def main(
 
 
 if __name__ == "__main__":
-    program.start(main)
+    command_line.start(main)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import pliant
-from experiments import program
+from experiments import command_line, markdown
 from experiments.arms import AXES, LEAST_SIGMA, load
 from experiments.controllers import NO_RATE_LIMITS
 from experiments.runner import run_jobs
@@ -177,10 +177,10 @@ def text(results: Sequence[Rest]) -> str:
             cells += [f"{np.median(moves):.1f}", f"{max(moves):.1f}"]
             cells += [str(max(result.turns[i] for result in group))]
         rows.append(cells)
-    return program.markdown(columns, rows)
+    return markdown.table(columns, rows)
 
 
-def main(*, poses: int = POSES, arm: program.Arms = (), jobs: int = 2) -> None:
+def main(*, poses: int = POSES, arm: command_line.Arms = (), jobs: int = 2) -> None:
     """Push arms near joint limits, release them, and observe if they come to rest.
 
     Args:
@@ -198,4 +198,4 @@ def main(*, poses: int = POSES, arm: program.Arms = (), jobs: int = 2) -> None:
 
 
 if __name__ == "__main__":
-    program.start(main)
+    command_line.start(main)

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 from urllib.parse import urlsplit
 
-from experiments import program
+from experiments import command_line, markdown
 from pliant import config
 from pliant.loop import LatenessHistogram
 from pliant.view.ipc import Link
@@ -188,9 +188,9 @@ def main(*, seconds: float = 10.0, rounds: int = 3, client: str = "") -> None:
         rows.append(
             (combination.name, len(combination.late), *latenesses, combination.missed, rate)
         )
-    print(program.markdown((*columns, "snapshots/s"), rows))
+    print(markdown.table((*columns, "snapshots/s"), rows))
     print(f"load of the machine: {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors")
 
 
 if __name__ == "__main__":
-    program.start(main)
+    command_line.start(main)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import pliant
-from experiments import program
+from experiments import command_line, markdown
 from experiments.arms import ranges
 from experiments.poses import arm, displaced, tool
 from pliant import robots
@@ -405,7 +405,7 @@ def fault_table() -> str:
         "tool lowered [m/s]",
         "hand feels [N]",
     )
-    return program.markdown(columns, rows)
+    return markdown.table(columns, rows)
 
 
 def main() -> None:
@@ -414,4 +414,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    program.start(main)
+    command_line.start(main)

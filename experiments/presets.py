@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import tyro
 
-from experiments import compliance, disturbances, program, tasks
+from experiments import command_line, compliance, disturbances, tasks
 from experiments.simulation import NOMINAL, TICK_EACH_WAY, Conditions
 from pliant import Axis, Settings
 
@@ -142,4 +142,4 @@ def main(picture: tyro.conf.Positional[Path | None] = None) -> None:
 
 
 if __name__ == "__main__":
-    program.start(main)
+    command_line.start(main)

@@ -12,7 +12,7 @@ import numpy as np
 import tyro
 
 import pliant
-from experiments import program, steps
+from experiments import command_line, markdown, steps
 from experiments.simulation import closed_loop
 from pliant.sim import Drag, Plant, Push
 
@@ -131,8 +131,8 @@ def main(robot: tyro.conf.Positional[str] = "so101", steps_each: int = 6) -> Non
     """
     if robot not in POSES:
         raise SystemExit(f"no pose for {robot!r}; there are {', '.join(POSES)}")
-    print(program.markdown(("what", "how much"), rows(robot, steps_each)))
+    print(markdown.table(("what", "how much"), rows(robot, steps_each)))
 
 
 if __name__ == "__main__":
-    program.start(main)
+    command_line.start(main)

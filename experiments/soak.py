@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 import pliant
-from experiments import program
+from experiments import command_line, markdown
 from experiments.emulated_arm import FAMILIES, configuration, emulator, stepped
 from experiments.poses import displaced
 from pliant.arm import Arm
@@ -525,7 +525,7 @@ def table(runs: list[SoakResult]) -> str:
     row("rules broken", [run.broken or "none" for run in runs])
     row("ended early by", [run.ended or "none" for run in runs])
     titles = ("", *(FAMILIES[run.family].title for run in runs))
-    return program.markdown(titles, ((name, *values) for name, values in rows.items()))
+    return markdown.table(titles, ((name, *values) for name, values in rows.items()))
 
 
 def main(
@@ -554,4 +554,4 @@ def main(
 
 
 if __name__ == "__main__":
-    program.start(main)
+    command_line.start(main)

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 import pliant
-from experiments import program
+from experiments import command_line, markdown
 from experiments.arms import BESIDE, ROBOTS, Arm
 from experiments.runner import run_jobs
 from experiments.simulation import closed_loop
@@ -281,15 +281,15 @@ def table(jobs: Sequence[Job], outcomes: Sequence[Sequence[StepResult]]) -> str:
                 job.case[0],
                 f"`{job.law}`",
                 f"{job.speed:g}",
-                program.worst((result.fastest for result in results), 2),
+                markdown.worst((result.fastest for result in results), 2),
                 f"{FACTOR * job.speed + MORE:.2f}",
-                program.worst((result.overshoot for result in results), 1, 1e3),
-                program.worst((result.left for result in results), 1, 1e3),
-                program.worst((result.seconds for result in results), 1),
+                markdown.worst((result.overshoot for result in results), 1, 1e3),
+                markdown.worst((result.left for result in results), 1, 1e3),
+                markdown.worst((result.seconds for result in results), 1),
                 f"{kept_count} of {len(results)}",
             )
         )
-    return program.markdown((*columns, "left [mm]", "within 10 mm after [s]", "kept"), rows)
+    return markdown.table((*columns, "left [mm]", "within 10 mm after [s]", "kept"), rows)
 
 
 def main(
@@ -316,4 +316,4 @@ def main(
 
 
 if __name__ == "__main__":
-    program.start(main)
+    command_line.start(main)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import pliant
-from experiments import program
+from experiments import command_line, markdown
 from experiments.arms import load
 from experiments.runner import Job, run_by_key
 from pliant.sim import Drag, ForceProfile, Plant, SimDrive
@@ -182,7 +182,7 @@ def main(jobs: int = 2) -> None:
         path = f"{1e3 * run.path:.1f}"
         rows.append((name, f"{kp:g}", _stiffness(name, soft), f"{speed:g}", error, path))
     columns = ["arm", "k_p ×", "y", "speed", "off the clock, worst (median) [mm]"]
-    print(program.markdown([*columns, "off the path [mm]"], rows))
+    print(markdown.table([*columns, "off the path [mm]"], rows))
     rows = []
     for held in held_cases:
         name, _, soft, _, wait = held
@@ -192,7 +192,7 @@ def main(jobs: int = 2) -> None:
         rows.append((name, _stiffness(name, soft), motion, force, peak, f"{run.after:.2f}", end))
     columns = ["arm", "y", "the motion", "force held [N]", "peak [N]", "tool after [m/s]"]
     print()
-    print(program.markdown([*columns, "end [mm]"], rows))
+    print(markdown.table([*columns, "end [mm]"], rows))
 
 
 def _stiffness(name: str, soft: bool) -> str:
@@ -200,4 +200,4 @@ def _stiffness(name: str, soft: bool) -> str:
 
 
 if __name__ == "__main__":
-    program.start(main)
+    command_line.start(main)

@@ -34,7 +34,7 @@ class Started(Exception):
     [
         path.stem
         for path in sorted(FOLDER.glob("*.py"))
-        if re.search(r"run_(jobs|by_key)\(.*program\.start", path.read_text(), re.DOTALL)
+        if re.search(r"run_(jobs|by_key)\(.*command_line\.start", path.read_text(), re.DOTALL)
     ],
 )
 def test_another_process_finds_the_jobs_by_their_module(name, monkeypatch):

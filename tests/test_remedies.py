@@ -360,7 +360,7 @@ OPEN = re.compile(
 
 
 def examples(text: str, _file: str) -> list[str]:
-    """Return the complete calls in a text that run without an object of the user."""
+    """Return the calls in a text that run as they are, without a user's variables."""
     candidates = [f"{name}({arguments})" for name, arguments in CALL.findall(text)]
     return [
         call for call in candidates if not OPEN.search(call) and not is_method(call.split("(")[0])

@@ -1,6 +1,6 @@
 #![no_main]
 
-use pliant_fuzz::memory::Counting;
+use pliant_fuzz::allocator::Counting;
 
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;

@@ -14,7 +14,7 @@ use super::input::Input;
 /// Maximum number of ticks in one run.
 const TICKS: usize = 60;
 
-/// Runs descent, hand guiding, joint follower or thermal model on one of the arms.
+/// Runs the descent, hand guiding, the joint follower or the thermal model on one of the arms.
 pub fn run(data: &[u8]) {
     let mut input = Input::new(data);
     let arm = arm(input.below(ARMS));

@@ -4,11 +4,11 @@
 //! The programs in `fuzz_targets` call them from libFuzzer; `rust/core/tests/fuzz_corpus.rs` includes this file and
 //! replays the inputs in `corpus` with the stable compiler.
 
+pub mod allocator;
 pub mod arm;
 pub mod batch;
 pub mod contact;
 pub mod equations;
-pub mod memory;
 pub mod settings;
 pub mod step;
 pub mod urdf;

@@ -5,8 +5,8 @@ use std::sync::Arc;
 use pliant_core::kinematics::Reference;
 use pliant_core::{Controller, Model, ModelOptions, Servos, Settings, StepInput};
 
+use super::allocator::peak;
 use super::checks::{assert_explained, assert_sendable};
-use super::memory::peak;
 
 /// Bound on the memory use: bytes per byte of text, plus a constant number of bytes.
 const BYTES_PER_BYTE: usize = 400;

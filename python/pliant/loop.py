@@ -175,7 +175,7 @@ class Tick:
     def __init__(
         self, loop: Loop, state: State, dt: float, times: tuple[float, float], index: int
     ) -> None:
-        """Create a tick (only `Loop` does); `times`: start of this and of the first tick [s]."""
+        """Create a tick for `Loop`; `times` are the start of this tick and of the first one [s]."""
         began, first = times
         self._loop, self.state, self.q, self.dt = loop, state, state.q, dt
         self.began, self.time, self.index, self.answered = began, began - first, index, False

@@ -79,7 +79,7 @@ def test_limits_equal_their_formula(supply, lead):
         clipped_goal = np.clip(goal, model.lower - lower_lead, model.upper + upper_lead)
         assert goals[chain] == pytest.approx(clipped_goal, abs=1e-12)
         assert (goals[4], limits[4]) == (other[0, 0], min(other[0, 1], thermal.torque_ceiling()[4]))
-        # Torque limits are bounded by the ramp after torque on, heat and supply current.
+        # The ramp after torque on, heat and supply current each bound the torque limits.
         support, top = SUPPORT * np.abs(gravity), max_torque[chain]
         holding = np.minimum(np.maximum(support + torque_margin(servos, gravity), ramp_start), top)
         bound = holding + np.clip(ramp, 0.0, 1.0) * (top - holding)

@@ -19,7 +19,7 @@ ARMS = {
 
 
 def limited_model(name, q, room):
-    """Return the arm with limits q ± room of its first joint; the plant has wider limits."""
+    """Return the arm with its first joint limited to q ± `room`; the plant has wider limits."""
     bounds = {robots.load(name).joint_names[0]: (q[0] - room, q[0] + room)}
     return robots.load(name, limits=bounds)
 

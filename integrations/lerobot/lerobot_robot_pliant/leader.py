@@ -30,7 +30,7 @@ SWING_TIMEOUT = 30.0
 #: Speed of a fictitious hand motion [rad/s] from the last position of hand guiding to the position
 #: to which a policy has moved the arm.
 CATCH_UP_SPEED = 1.0
-#: Time at rest at the end of that motion [s].
+#: Time at rest at the end of the fictitious hand motion [s].
 CATCH_UP_REST = 0.3
 
 

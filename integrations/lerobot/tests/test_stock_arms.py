@@ -56,7 +56,7 @@ def registers(robot):
 
 
 def course(robot):
-    """Move home and away; return the 30 observations on the way."""
+    """Move the arm to `HOME`, then toward `AWAY`; return 30 observations of the second motion."""
     robot.send_action(HOME | {"gripper.pos": 20.0})
     time.sleep(3.0)
     robot.send_action(AWAY)

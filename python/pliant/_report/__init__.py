@@ -1,4 +1,4 @@
-"""HTML pages, tables, figures and enumerations of reports, for logs and for `experiments/`."""
+"""HTML pages, tables, figures and lists of reports, for logs and for `experiments/`."""
 
 from __future__ import annotations
 

@@ -550,7 +550,8 @@ class ArmIO:
     def start(self, goal: Array, limit: Array, lead: Array) -> None:
         """Switch torque on with these first goals [rad] and limits [N·m] (n,).
 
-        Joints without torque start with `lead` (n,) [rad] in addition, if the drive accepts it.
+        If the drive accepts leads, `lead` (n,) [rad] is added to the first goal of each joint whose
+        torque is still off.
 
         Raises:
             ServoError: A joint moved when torque came on, or its servo did not confirm.

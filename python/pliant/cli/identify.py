@@ -79,7 +79,7 @@ def run(
             with connected as live:
                 results.append(_measure(procedure, live, arm_config, options, file))
     finally:
-        # Write only once the arm is lowered: a blocked terminal or disk must not delay that.
+        # Write after the descent: a blocked terminal or disk must not delay it.
         if file is not None and "servos" in file.steps:
             file.save()
         for line in (line for lines in results for line in lines):

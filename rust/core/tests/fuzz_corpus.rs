@@ -21,7 +21,7 @@ mod seeded;
 mod targets;
 
 #[global_allocator]
-static ALLOCATOR: targets::memory::Counting = targets::memory::Counting;
+static ALLOCATOR: targets::allocator::Counting = targets::allocator::Counting;
 
 /// Returns the number of random inputs per target: the environment variable `PLIANT_FUZZ`, default 200.
 fn random_inputs() -> usize {

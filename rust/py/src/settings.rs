@@ -63,8 +63,8 @@ impl Settings {
         Self::with(core, Some(&rest))
     }
 
-    /// Creates a preset in which the axis `named` yields and pushes; an error if it has no spring under law
-    /// `impedance`, because it could not push then.
+    /// Creates a preset in which the axis `named` yields and pushes. Returns an error under law `impedance` if the axis
+    /// has no spring, because then it could not push.
     fn driven(core: CoreSettings, named: &str, overrides: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
         let settings = Self::preset(core, named, overrides)?;
         let mut driven = settings.0.axes.iter().zip(parse_axes("axis", named).or_raise()?);

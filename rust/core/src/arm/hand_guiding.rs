@@ -13,7 +13,7 @@
 //!
 //! The interval from c_low to c_high contains the compliance 1/k_p. The play w grows by the possible error of the lead,
 //! so a wrong k_p can let the arm sag within the play but cannot make it drift. When the arm rests after a motion, its
-//! lead is known within the friction ρ and the least play w₀. This narrows the interval; w_e keeps the play as it was,
+//! lead is known within ρ + w₀. This narrows the interval; w_e keeps the play as it was,
 //! and fades with the next motion.
 
 use std::sync::Arc;
@@ -38,7 +38,7 @@ const PREDICTION_SHARE: f64 = 0.9;
 const FRICTION_SPEED: f64 = 0.05;
 /// Time constant of the speed filter [s].
 const SPEED_FILTER: f64 = 0.02;
-/// Share of the least play w₀ by which the play of a fast joint is reduced.
+/// Share of w₀ by which the play of a fast joint is reduced.
 const PLAY_LOSS: f64 = 0.9;
 /// Time without motion after which the arm counts as at rest [s].
 const REST_TIME: f64 = 0.4;
@@ -48,11 +48,11 @@ const MIN_MOTION: f64 = 5e-4;
 const LEAD_ERROR_SHARE: f64 = 0.15;
 /// Time constant with which the excess play decreases while a joint moves [s].
 const SHRINK_TIME: f64 = 0.5;
-/// Lower bound on the least play w₀ [rad].
+/// Smallest play w₀ of a joint at rest [rad].
 const MIN_PLAY: f64 = 2e-3;
-/// Lower bound on the least play w₀, in encoder counts.
+/// Smallest play w₀ of a joint at rest, in encoder counts.
 const MIN_PLAY_COUNTS: f64 = 1.5;
-/// Lower bound on the least play w₀, as a share of the friction ρ.
+/// Smallest play w₀ of a joint at rest, as a multiple of the lead ρ [rad] that overcomes its friction.
 const MIN_PLAY_FRICTION: f64 = 0.15;
 /// Largest speed of the goals [rad/s].
 const MAX_GOAL_SPEED: f64 = 3.0;

@@ -75,8 +75,8 @@ const FULL_FORCE_REACH: f64 = 0.7;
 const PRESS_RATIO: f64 = 2.0;
 /// Largest force with which the lowest point that a joint moves presses downward [N].
 const MAX_PRESS_FORCE: f64 = 1.5;
-/// Ratio of gravity torque to friction above which a joint presses with its full torque; below, with a proportional
-/// share of it.
+/// Ratio of gravity torque to friction above which a joint presses downward with the full torque of [`PRESS_RATIO`];
+/// below, this torque is reduced in proportion to the ratio.
 const FULL_PRESS_RATIO: f64 = 0.5;
 /// Ratio of the largest speed at which the tool rises to its depth below its height at the start [1/s].
 const RISE_RATE: f64 = 1.0;

@@ -17,7 +17,7 @@
 //! # }
 //! ```
 
-mod arrays;
+mod arguments;
 
 use nalgebra::{DMatrix, DVector};
 
@@ -33,7 +33,7 @@ use crate::pose::Pose;
 use crate::task::{adapt, compliance as task_compliance};
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, task};
 
-use arrays::{array, check, finite, inverse_rows, product, same_length, square, task_rows, without_overflow};
+use arguments::{array, check, finite, inverse_rows, product, same_length, square, task_rows, without_overflow};
 
 /// Computes the damped pseudo-inverse `J⁺ = Jᵀ (J Jᵀ + λ²I)⁻¹`, n × k; equation (3) of the paper.
 ///

@@ -25,8 +25,9 @@ impl VelocityFilter {
         Self { backlash_output: *q, velocity: [0.0; MAX_JOINTS] }
     }
 
-    /// Returns the state after a reading `q` [rad], `dt` [s] after the last one. `encoder_step` [rad] is the half-width
-    /// of the backlash, `time_constant` is T_f [s].
+    /// Returns the filter's state after a reading `q` [rad], `dt` [s] after the last one. `encoder_step` [rad] is the
+    /// half-width of the backlash operator, which hides the encoder's counts; `time_constant` is T_f of the low-pass
+    /// [s].
     #[inline(always)]
     pub(crate) fn update<J: JointVector>(&self, q: J, encoder_step: J, time_constant: f64, dt: f64) -> Filtered<J> {
         let (share, per_second) = (J::splat(dt / (time_constant + dt)), J::splat(1.0 / dt));

@@ -42,7 +42,7 @@ pub(crate) struct LawInput<'a, J: JointVector> {
     pub(crate) damping: J::Axes,
     /// Velocity and acceleration terms of the reference.
     pub(crate) pacing: Pacing<J::Axes>,
-    /// Deviation, compliance and strength of each task axis.
+    /// Deviation, compliance and strength (largest force) of each task axis.
     pub(crate) demand: &'a AxisDemand<J::Axes>,
     /// Filtered joint velocity [rad/s].
     pub(crate) velocity: J,

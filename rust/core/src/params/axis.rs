@@ -193,15 +193,15 @@ pub enum OnDeviationLimit {
 
 /// Settings of one task axis. `None` selects the default; the defaults of the strengths depend on law and arm.
 ///
-/// A strength (`soft`, `firm`, `hold`) is a force [N] ([N·m] for rotations) under the laws `cap` and `impedance`, a
-/// torque budget [N·m] under law `paper`. Pairs are (pushed toward −, pushed toward +).
+/// A strength (`soft`, `firm`, `hold`) is the largest force of the axis [N] ([N·m] for rotations) under the laws `cap`
+/// and `impedance`, and a torque budget [N·m] under law `paper`. Pairs are (pushed toward −, pushed toward +).
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Axis {
-    /// Strength of the yielding axis at a small deviation, per side; τ⁻ in equation (9) of the paper.
+    /// Strength at a small deviation, for each direction that yields; τ⁻ in equation (9) of the paper.
     pub soft: Option<[f64; 2]>,
-    /// Strength of the yielding axis at a large deviation, per side; τ⁺ in equation (9) of the paper.
+    /// Strength at a large deviation, for each direction that yields; τ⁺ in equation (9) of the paper.
     pub firm: Option<[f64; 2]>,
-    /// Strength toward a side that does not yield.
+    /// Strength in a direction that does not yield.
     pub hold: Option<f64>,
     /// Law `impedance`: stiffness of the axis [N/m or N·m/rad]; default 0 for a side that yields, else derived from the
     /// arm.
