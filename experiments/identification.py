@@ -214,7 +214,9 @@ WRONG: dict[str, Any] = {"kp_scale": 1.25, "friction_scale": 1.4, "damping_scale
 
 
 def rows(span: float = 0.4) -> list[tuple[str, dict[str, float]]]:
-    """Measure drag and door with a wrong, the identified and the true servo table.
+    """Measure forces of a hand that drags the tool, and of an arm that opens a door.
+
+    The servo table is wrong, then the identified one, then the true one.
 
     `span` is the largest distance of each joint from the start pose during the identification
     [rad].

@@ -85,7 +85,7 @@ def entry(data: Any, file: str | Path, *keys: str) -> Any:
 
 
 def toml_entry(path: str, *keys: str) -> Any:
-    """Return an entry of a TOML file, named from the root of the repository."""
+    """Return an entry of a TOML file; `path` is relative to the root of the repository."""
     try:
         data = tomllib.loads(text_of(ROOT / path))
     except tomllib.TOMLDecodeError as error:

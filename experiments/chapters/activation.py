@@ -150,7 +150,7 @@ def _top(column: Array, count: int) -> str:
     return listed([f"{JOINTS[i]} {column[i]:.2f}" for i in order])
 
 
-def _lead(column: Array, joints: tuple[int, ...], ignored: tuple[int, ...] = ()) -> float:
+def _margin(column: Array, joints: tuple[int, ...], ignored: tuple[int, ...] = ()) -> float:
     """Return the smallest share of the wanted joints minus the largest share of the others.
 
     Args:
@@ -174,19 +174,19 @@ def _paper(share: Mapping[str, Array]) -> tuple[Statement, ...]:
             outcome=f"Largest in x: {_top(x['vertical'], 2)} (vertical); "
             f"{_top(x['horizontal'], 2)} (horizontal).",
             checks=tuple(
-                at_least(f"{unit}, {pose}", _lead(x[pose], (0, 3)), 0.0) for pose in POSES
+                at_least(f"{unit}, {pose}", _margin(x[pose], (0, 3)), 0.0) for pose in POSES
             ),
         ),
         Statement(
             claim="Vertical grasp: the wrist pitch takes part in x.",
             outcome=f"It comes third: {_top(x['vertical'], 3)}.",
-            checks=(at_least(unit, _lead(x["vertical"], (5,), (0, 3)), 0.0),),
+            checks=(at_least(unit, _margin(x["vertical"], (5,), (0, 3)), 0.0),),
         ),
         Statement(
             claim="Horizontal grasp: the wrist roll takes that part.",
             outcome=f"{_top(x['horizontal'], 3).capitalize()}; the wrist pitch has "
             f"{x['horizontal'][5]:.2f}.",
-            checks=(at_least(unit, _lead(x["horizontal"], (6,), (0, 3)), 0.0),),
+            checks=(at_least(unit, _margin(x["horizontal"], (6,), (0, 3)), 0.0),),
         ),
         Statement(
             claim="Other joints of shoulder and wrist contribute less to x.",
@@ -199,7 +199,7 @@ def _paper(share: Mapping[str, Array]) -> tuple[Statement, ...]:
         Statement(
             claim="Vertical grasp: y is mostly shoulder roll, shoulder yaw and wrist yaw.",
             outcome=f"Largest in y: {_top(y['vertical'], 4)}.",
-            checks=(at_least(unit, _lead(y["vertical"], (1, 2, 4)), 0.0),),
+            checks=(at_least(unit, _margin(y["vertical"], (1, 2, 4)), 0.0),),
             because="the three are there, but the wrist pitch has as much "
             f"({y['vertical'][5]:.2f}); our lengths and wrist angles are not Cosero's.",
         ),
@@ -217,12 +217,12 @@ def _paper(share: Mapping[str, Array]) -> tuple[Statement, ...]:
             claim="Yaw needs shoulder roll, wrist yaw and wrist roll (read: in the horizontal "
             "grasp).",
             outcome=f"Largest in yaw: {_top(yaw['horizontal'], 3)}.",
-            checks=(at_least(unit, _lead(yaw["horizontal"], (1, 4, 6)), 0.0),),
+            checks=(at_least(unit, _margin(yaw["horizontal"], (1, 4, 6)), 0.0),),
         ),
         Statement(
             claim="Vertical grasp: yaw is mostly shoulder roll and wrist pitch.",
             outcome=f"Largest in yaw: {_top(yaw['vertical'], 3)}.",
-            checks=(at_least(unit, _lead(yaw["vertical"], (1, 5)), 0.0),),
+            checks=(at_least(unit, _margin(yaw["vertical"], (1, 5)), 0.0),),
         ),
     )
 

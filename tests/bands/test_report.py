@@ -11,7 +11,7 @@ from pliant.sim.hand import ForceProfile, Push
 from pliant.sim.postures import AT_DOOR, HORIZONTAL, VERTICAL
 
 RANDOM = cap_accuracy.poses(4, cap_accuracy.CLEAR)
-#: Axis, side and cap [N, N·m].
+#: Axis, pushed direction, and force cap [N] or torque cap [N·m].
 PUSHES = (("y", 1.0, 8.0), ("y", -1.0, 5.0), ("z", 1.0, 8.0), ("x", -1.0, 8.0), ("yaw", 1.0, 1.0))
 #: Allowed excess of a force over cap and friction, as a share of the cap: the push still grows
 #: while the arm starts to move.

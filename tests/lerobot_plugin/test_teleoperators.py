@@ -71,7 +71,7 @@ def test_a_leader_hands_over_and_back_without_a_jump(leader):
 
 
 def test_a_gap_in_the_loop_does_not_swing_the_leader_again(leader):
-    """The motion of all joints that begins hand guiding is not repeated; a hand would block it."""
+    """The swing that begins hand guiding is not repeated: a hand on the arm would block it."""
     loop, start = leader._session.control._loop, plant_of(leader).q.copy()
     loop._restart(arm_of(leader).read().q, first=False)
     assert loop.controller.ready

@@ -93,7 +93,7 @@ def with_run(content, run):
 
 
 def attachment(body):
-    """Return the name of an attachment, and the offset of the length of its data [bytes]."""
+    """Return the name of an attachment, and the offset of its field for the data length [bytes]."""
     offset = 16
     size = struct.unpack_from("<I", body, offset)[0]
     name = body[offset + 4 : offset + 4 + size].decode()

@@ -15,8 +15,8 @@ class FakeBus:
     """Transport in memory: servos as byte arrays, with scripted failures and stale replies.
 
     `plan` has one entry per future request: None for success, a `BusError` to raise, or "stale" to
-    return the reply to the previous request. While `late` is above 0, a drain ping finds bytes on
-    the line and decreases it by 1.
+    return the reply to the previous request. While `late` is above 0, a ping that drains the
+    line finds bytes on it, and decreases `late` by 1.
     """
 
     def __init__(self, ids):

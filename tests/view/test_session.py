@@ -11,7 +11,7 @@ from pliant.view.ipc import PageGone
 from pliant.view.session import Session
 from pliant.view.source import Simulated
 
-#: Message that ends a run without a descent: a change of the scene.
+#: Message that ends a run without lowering the arm: the user changes the scene.
 END = messages.Scene("free")
 
 

@@ -33,7 +33,7 @@ PERIOD = 0.1
 #: Silence that is accepted in addition to the timeout of the program's watchdog thread [s]. That
 #: thread acts first; it waits for the interpreter's lock and for a core.
 MARGIN = 1.0
-#: Longest time until the port of an ended program can be opened [s].
+#: Longest time for which opening the port is retried after the program has ended [s].
 OPEN_TIME = 30.0
 #: Time between two attempts to open that port [s].
 OPEN_PERIOD = 0.01

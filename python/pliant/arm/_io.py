@@ -268,7 +268,8 @@ class ArmIO:
         self._sample = JointReadings(np.full(size, np.nan), np.zeros(size, dtype=bool), 0.0)
         self._watchdog = 0.0
         self._silent: set[str] = set()
-        # Times of the last bus access and of the last position received, since `set_watchdog` [s].
+        # Times of the last bus access and of the last position received [s]; `set_watchdog` resets
+        # both.
         self._last_access: float
         self._last_position: float
         #: Mask (N,) of joints whose torque an ended program may have left on, and that have not

@@ -96,9 +96,10 @@ class Signals:
             _REGISTRY.begin(self, None)
 
     def begin(self, announcement: Message | None) -> None:
-        """Mark the arm as being lowered; `announcement` is the message that told the user so.
+        """Mark the arm as being lowered.
 
-        None: no message told so, because another thread lowers the arm already.
+        `announcement` is the message that the user has read about it; None if there was none,
+        because another thread is already lowering the arm.
         """
         if self.installed:
             _REGISTRY.begin(self, announcement)

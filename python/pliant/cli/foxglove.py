@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pliant.cli._flags import HttpPort, check_port
 from pliant.cli._network import NetworkFlags
-from pliant.ros.links import foxglove_link
+from pliant.ros.processes import foxglove_link
 
 
 def run(

@@ -9,7 +9,7 @@ import tyro
 
 from pliant._core import ConfigError
 from pliant.cli._network import NetworkFlags
-from pliant.ros.links import LISTEN, ros_link
+from pliant.ros.processes import LISTEN, ros_link
 
 #: zenoh address.
 Endpoint = Annotated[str, tyro.conf.arg(metavar="tcp/HOST:PORT")]

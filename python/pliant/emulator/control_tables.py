@@ -309,7 +309,7 @@ _X = Table(parse(_X_COMMON + _indirect(224, 28, 64, 661)))
 
 
 def _with_current(table: Table, top: int) -> Table:
-    """Return a copy of `table` with Current Limit and Goal Current, up to `top` [counts]."""
+    """Return a copy of `table` with Current Limit and Goal Current, both at most `top` [counts]."""
     return table.changed(
         f"38 2 E rw {top} 0..{top} u current_limit\n102 2 R rw {top} -{top}..{top} t goal_current\n"
     )

@@ -11,6 +11,6 @@ and `pliant foxglove` run a whole arm; `Bridge` connects your own loop.
 """
 
 from pliant.ros.bridge import Bridge
-from pliant.ros.links import foxglove_link, ros_link
+from pliant.ros.processes import foxglove_link, ros_link
 
 __all__ = ["Bridge", "foxglove_link", "ros_link"]

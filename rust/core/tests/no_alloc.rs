@@ -41,25 +41,25 @@ fn count_call() {
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         count_call();
-        // SAFETY: the caller meets the requirements of `GlobalAlloc`, which `System` has too.
+        // SAFETY: the caller meets the requirements of `GlobalAlloc`, and `System` has no others.
         unsafe { System.alloc(layout) }
     }
 
     unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
         count_call();
-        // SAFETY: the caller meets the requirements of `GlobalAlloc`, which `System` has too.
+        // SAFETY: the caller meets the requirements of `GlobalAlloc`, and `System` has no others.
         unsafe { System.alloc_zeroed(layout) }
     }
 
     unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
         count_call();
-        // SAFETY: the caller meets the requirements of `GlobalAlloc`, which `System` has too.
+        // SAFETY: the caller meets the requirements of `GlobalAlloc`, and `System` has no others.
         unsafe { System.realloc(pointer, layout, size) }
     }
 
     unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
         count_call();
-        // SAFETY: the caller meets the requirements of `GlobalAlloc`, which `System` has too.
+        // SAFETY: the caller meets the requirements of `GlobalAlloc`, and `System` has no others.
         unsafe { System.dealloc(pointer, layout) }
     }
 }

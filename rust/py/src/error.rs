@@ -160,7 +160,7 @@ pub(crate) fn tuple(shape: &[usize]) -> String {
     }
 }
 
-/// Returns `; did you mean 'x'?` with a name similar to `word`; `stop` if difflib finds none.
+/// Returns `; did you mean 'x'?` with the name most similar to `word`, or the text `stop` if none is similar.
 #[cold]
 #[inline(never)]
 pub(crate) fn suggestion(py: Python<'_>, word: &str, names: &[&str], stop: &str) -> String {

@@ -133,7 +133,7 @@ impl PushPath<'_> {
         PathResult { stop, friction: worst.friction, sigma: self.sigma(&worst.scaled)[0], at: worst.distance }
     }
 
-    /// Returns the point of largest friction along axis `row`.
+    /// Returns the point of the path with the largest friction along axis `row`.
     fn max_friction_sample(&self, row: usize, samples: &[Sample]) -> Sample {
         let index =
             (0..samples.len()).fold(0, |best, i| if samples[i].friction > samples[best].friction { i } else { best });

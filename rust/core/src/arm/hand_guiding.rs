@@ -38,7 +38,7 @@ const PREDICTION_SHARE: f64 = 0.9;
 const FRICTION_SPEED: f64 = 0.05;
 /// Time constant of the speed filter [s].
 const SPEED_FILTER: f64 = 0.02;
-/// Share of w₀ by which the play of a fast joint is reduced.
+/// Share of w₀ by which the play w becomes smaller while a joint moves fast.
 const PLAY_LOSS: f64 = 0.9;
 /// Time without motion after which the arm counts as at rest [s].
 const REST_TIME: f64 = 0.4;

@@ -756,7 +756,8 @@ impl Lowering {
         }
     }
 
-    /// Reduces the torque limits to what lead and weight need; raises that of a sinking joint.
+    /// Reduces each torque limit to what the joint's lead (goal − q) and gravity torque need; raises the limit of a joint
+    /// that sinks.
     fn update_limit(&mut self, dt: f64, gravity: &JointVec) {
         let speed = self.joint_velocities();
         for i in 0..self.n {

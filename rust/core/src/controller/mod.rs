@@ -333,7 +333,7 @@ impl Controller {
         }
         let holding = self.holding_torques(&q, &self.masses);
         let captured = self.params.servos.captured_compliance(self.params.n, &q, &goal, &holding);
-        // Subtract the change of the gravity offset from the integrated lead, so that it does not count twice.
+        // Subtract the change of the gravity offset from the integrator, which holds it already.
         if self.settings.gravity_use().in_goal() {
             for i in 0..self.params.n {
                 let more = holding[i] * (captured[i] - self.params.gravity_compliance[i]);
