@@ -53,7 +53,8 @@ def test_functions(case):
     e = pliant.functional.pose_error(actual, target)
     close(e, case["d_rotvec"])
 
-    # The reference adapts the deviation per axis, which differs for combined rotations.
+    # The reference implementation scales each component of the deviation by 1 − η. For rotations
+    # about several axes, `adapt_target` does something else.
     mask = case["mask"]
     adapted = np.where(mask, (1.0 - case["eta"]) * e, e)
     error = pliant.functional.pose_error(

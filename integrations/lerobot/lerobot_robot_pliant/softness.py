@@ -126,7 +126,7 @@ class PliantSoftness(Teleoperator):
         LOG.info("axes %s: %s", " ".join(self.config.soft), "soft" if self.is_soft else "firm")
 
     def get_action(self) -> dict[str, Any]:
-        """Return the wrapped teleoperator's action and the force of each axis [N]."""
+        """Return the wrapped teleoperator's action, with the force cap of each axis [N] added."""
         action = dict(self.inner.get_action())
         for axis, soft in self.config.soft.items():
             firm = self.config.firm.get(axis, FIRM)

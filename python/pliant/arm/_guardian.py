@@ -196,7 +196,7 @@ def _executable() -> str:
 
 
 def _above_standard(number: int) -> int:
-    """Return `number` if it is above 2, else a descriptor above 2 of the same file; close `number`.
+    """Return `number` if it is above 2; else close it and return a descriptor above 2 of its file.
 
     A program with closed standard streams gets descriptors 0 to 2 for the files that it opens, but
     the guardian process has its standard streams there.

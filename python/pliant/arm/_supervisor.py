@@ -73,7 +73,7 @@ class ShortSwitchInterval:
                 sys.setswitchinterval(self._interval)
 
 
-#: The interval belongs to the interpreter, so all supervisors share this context.
+#: The switch interval applies to the whole interpreter, so all supervisors share this object.
 _SHORT_SWITCH_INTERVAL = ShortSwitchInterval()
 
 

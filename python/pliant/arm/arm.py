@@ -180,16 +180,17 @@ class Arm:
     def enable(self) -> None:
         """Switch torque on at the present positions, and let the servos take up the weight.
 
-        The first torque limits are close to the gravity torques. If k_p is unknown, the arm is
-        balanced and its leads are measured, which takes at most 7.5 s. Then the limits rise within
-        0.5 s. Joints with torque on keep their goals and limits, and an arm that lies on a table
-        stays there. Signal handlers are installed before torque comes on.
+        The first torque limits are close to the gravity torques. If k_p is unknown, the goals then
+        move until each joint stands still under the real load, and the lead (goal − q) that holds
+        it is measured; this takes at most 7.5 s. Then the limits rise within 0.5 s. Joints with
+        torque on keep their goals and limits, and an arm that lies on a table stays there. Signal
+        handlers are installed before torque comes on.
 
         Raises:
             ServoTimeoutError: Joints do not answer; the message names them.
-            ServoError: A joint reads outside its limits, or needs more than twice its torque to
-                hold its weight, or the bus is too slow for `rate`, and nothing was sent; or joints
-                moved or did not confirm when torque came on.
+            ServoError: Before anything is sent: a joint reads outside its limits, its gravity
+                torque is more than twice the usable torque of its servo, or the bus is too slow
+                for `rate`. Afterwards: joints moved when torque came on, or did not confirm.
         """
         with self._supervisor.exclusive():
             if not self.enabled:
@@ -343,7 +344,7 @@ class Arm:
             self._unfinished_threads.pop().join()
 
     def _finish_later(self, thread: Thread) -> None:
-        """Make `close` wait for a thread once torque is off; `Loop` ends its recorder like this."""
+        """Make `close` wait for this thread after torque off: `Loop` closes its recorder in it."""
         self._unfinished_threads.append(thread)
 
     def _descend(self, rest: Array | None) -> None:

@@ -58,10 +58,10 @@ class Leads(NamedTuple):
 def lead_procedure(
     model: Model, servos: Servos, *, period: float, like: Leads | None = None
 ) -> Procedure[Leads]:
-    """Return a procedure that measures leads in 7 to 20 s, in the present or an earlier pose.
+    """Return a procedure that measures the lead, goal − q, of each joint; it takes 7 to 20 s.
 
-    `period` is the control period [s]. `like` are leads measured earlier, whose pose and
-    amplitude are used again; None: a new pose and amplitude.
+    `period` is the control period [s]. `like` is an earlier measurement, whose pose and amplitude
+    are used again; None: the present pose, and a new amplitude.
     """
     rig = Excitation(model, servos, period)
     return Procedure(lambda q: _measure(rig, q, like), model.n)

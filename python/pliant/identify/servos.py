@@ -141,7 +141,7 @@ def goal_amplitude(rig: Excitation, amplitude: float) -> Array:
 
 
 def widen_swing(rig: Excitation, q: Array, amplitude: float) -> Steps[tuple[Array, Array]]:
-    """Oscillate all joints near q with growing goals until they move by about ±`amplitude` [rad].
+    """Oscillate all joints near q, more and more, until they move by about ±`amplitude` [rad].
 
     A goal must move more than its joint: after a reversal, the joint moves only when the goal has
     moved by 2 f/k_p, with the friction f [N·m] and the servo stiffness k_p [N·m/rad].

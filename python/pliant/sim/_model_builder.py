@@ -49,7 +49,7 @@ class Group:
 def rigid_groups(model: Model, off_chain: OffChain) -> list[Group]:
     """Return the groups of links without relative motion, each parent before its children.
 
-    `off_chain` is `held` (grippers move) or `welded` (grippers are locked).
+    `off_chain` is `held` (grippers are links of their own) or `welded` (grippers do not move).
     """
     children: dict[int, list[int]] = {}
     for index, joint in enumerate(model.joints):

@@ -45,7 +45,7 @@ class Drive:
     distance: float = 0.28
 
     def at(self, t: float) -> float:
-        """Return the displacement of the hinge at time t [s], in m."""
+        """Return by how much the hinge itself is displaced at time t [s], in m."""
         return min(max(self.speed * (t - self.start), 0.0), self.distance)
 
 

@@ -372,7 +372,7 @@ fn heat_follows_the_torque_and_bounds_the_limits() {
     assert!(ThermalModel::new(hostile, &[10.0], None).unwrap_err().to_string().contains("continuous"));
 }
 
-/// A lost reading (NaN) counts as the usable torque, and never makes a torque limit NaN.
+/// A torque that could not be read (NaN) heats like the usable torque, and never makes a torque limit NaN.
 #[test]
 fn nan_torques_heat() {
     let options = ThermalOptions { continuous: 0.4, time_constant: 30.0, supply: None, shutdown_temperature: 70.0 };

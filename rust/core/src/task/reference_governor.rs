@@ -228,7 +228,7 @@ impl ReferenceGovernor {
     }
 }
 
-/// If at least this share of the stiff axes' wrench or of the goals' motion is missing, the reference stops completely.
+/// If limits take away at least this share of the stiff axes' wrench or of the goals' motion, the reference stops.
 const HOLD_THRESHOLD: f64 = 0.2;
 
 /// Returns the degree, 0 to 1, to which the reference is held back. `share` is the share of the stiff axes' wrench that

@@ -77,7 +77,7 @@ pub(crate) fn slow_tool(model: &Model, q: &[f64]) -> Isometry3<f64> {
     link_poses(model, q)[tip]
 }
 
-/// Returns the potential energy [J] of all bodies and the payload, by [`link_poses`].
+/// Returns the potential energy [J] of all bodies and the payload, computed with [`link_poses`].
 pub(crate) fn potential_energy(model: &Model, q: &[f64]) -> f64 {
     let g = Vector3::from(model.gravity_vector());
     let of =

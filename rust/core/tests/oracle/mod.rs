@@ -265,7 +265,7 @@ impl Oracle {
         let null_torque = settings.null_space.max_torque.unwrap_or(if k < n { 2.0 } else { 0.0 });
         let wanted = if cap && settings.paper_options.limits == LimitRule::Demand {
             let bounded = Vector::from_fn(k, |r, _| clip(motion.wrench[r], max_strength[r]));
-            // Torque of the bounded wrench, plus that of the leads without the part that exerts the wrench.
+            // Torque of the leads (goal − q), in which the bounded wrench replaces the requested one.
             let (pulled, whole) = (rows.transpose() * bounded, rows.transpose() * &motion.wrench);
             let task = pulled + kp.component_mul(&(&motion.lead + &motion.force)) - whole;
             let demand = &in_limit + task + &feed_forward + kp.component_mul(&(&motion.null + &q - &measured));
