@@ -102,6 +102,7 @@ def test_a_disk_that_fills_up_is_reported_at_once_and_the_log_is_readable(arm, t
         for tick in loop:
             tick.step(arm.model.forward_kinematics(tick.q))
             if tick.index == 400:
+                recorder._sender.finish(60.0)
                 recorder._process.wait(60.0)
 
     with pytest.raises(OSError, match=r"x\.mcap: the log could not be written to its end"):
