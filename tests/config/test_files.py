@@ -85,6 +85,10 @@ def test_urdf_and_file_that_disagree_on_joints():
         ('preset = "soft"\n' + SIM, "needs its axes"),
         ('preset = { name = "wipe", pres = 3 }\n' + SIM, "pres"),
         ("preset = { press = 3 }\n" + SIM, "without a name"),
+        ("preset = 3\n" + SIM, r'preset: takes a name, as "door", or a table, .* got 3$'),
+        (SIM + '[settings]\npreset = "door"', "settings: preset belongs at the top of the file"),
+        (SIM + "[loop]\npreset = 'door'", r"loop\.preset is not a key here: preset belongs at the"),
+        (SIM + '[port]\npath = "x"', r"port is a list of tables: \[\[port\]\] in double brackets"),
         ('robot.builtin = "so101"', "needs a servo for every joint"),
         (
             SIM + "[gripper]\nopened = 1\nclosed = 1\n[gripper.servo]\nmodel = 'MX-64'\nid = 1",
@@ -366,3 +370,9 @@ def test_software_limits_of_a_servo_narrow_those_of_the_model(backend):
     for bounds in ("lower = 0.3, upper = -0.3", "upper = -9.0"):
         with pytest.raises(pliant.ConfigError, match=r"servo\.elbow_flex: .* leave no range"):
             model(bounds)
+
+
+def test_a_byte_order_mark_is_ignored(tmp_path):
+    file = tmp_path / "arm.toml"
+    file.write_text(SIM, encoding="utf-8-sig")
+    assert config.load(file).robot.builtin == "so101"

@@ -185,6 +185,8 @@ def test_a_motion_of_another_arm_is_refused(tmp_path):
     controller = pliant.Controller(MODEL, SETTINGS)
     with pytest.raises(pliant.ConfigError, match="this arm has"):
         Replay(controller, replace(wave(), joints=("a", "b", "c", "d", "e")))
+    with pytest.raises(pliant.ConfigError, match=r"the motion is of .*; this arm has"):
+        replace(wave(), joints=NAMES[1:], q=wave().q[:, 1:]).for_model(MODEL)
     with pytest.raises(pliant.ConfigError, match="beyond its limits"):
         Replay(controller, replace(wave(), q=wave().q + 3.0))
     (tmp_path / "no.json").write_text("{}")

@@ -299,9 +299,13 @@ class Config(StrictModel):
     _folder: Path = PrivateAttr(default=Path())
     _source: str = PrivateAttr(default="configuration")
 
-    @field_validator("preset")
+    @field_validator("preset", mode="before")
     @classmethod
-    def _exists(cls, preset: str | dict[str, Any] | None) -> str | dict[str, Any] | None:
+    def _exists(cls, preset: Any) -> Any:
+        if preset is not None and not isinstance(preset, str | dict):
+            raise ValueError(
+                f'takes a name, as "door", or a table, as {{ name = "wipe" }}, got {preset!r}'
+            )
         check_preset(preset)
         return preset
 
