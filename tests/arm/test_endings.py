@@ -545,9 +545,7 @@ def test_the_message_of_a_lost_bus_tells_of_the_guardian(posted, has_guardian):
     messages = ExitMessages("arm", standing(), None)
     text = messages.failed(ValueError("why"), None, has_guardian=has_guardian)
     assert "start the program again, which takes the arm over" in text
-    chance = (
-        f"its guardian lowers it in the {OPEN_TIME:.0f} s after this program has closed the arm"
-    )
+    chance = f"guardian lowers it in the {OPEN_TIME:.0f} s after this program has closed"
     assert (chance in text) is has_guardian
 
 
