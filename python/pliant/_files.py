@@ -18,6 +18,19 @@ if TYPE_CHECKING:
 SMALL, LARGE = 1 << 20, 1 << 28
 
 
+def check_regular(path: Path) -> None:
+    """Check that a path is a regular file: reading a pipe may wait forever.
+
+    Raises:
+        ConfigError: The path is a pipe, a device or a folder.
+        OSError: The file is missing, or its folder is not readable.
+    """
+    mode = path.stat().st_mode
+    if not stat.S_ISREG(mode):
+        kind = "a folder" if stat.S_ISDIR(mode) else "a pipe or a device"
+        raise ConfigError(f"{path} is {kind}: name a file")
+
+
 def read_text(path: Path, max_size: int = SMALL) -> str:
     """Return the contents of a UTF-8 text file.
 
@@ -30,10 +43,7 @@ def read_text(path: Path, max_size: int = SMALL) -> str:
         OSError: The file is missing, or not readable.
         UnicodeDecodeError: The file is not UTF-8 text.
     """
-    mode = path.stat().st_mode
-    if not stat.S_ISREG(mode):
-        kind = "a folder" if stat.S_ISDIR(mode) else "a pipe or a device"
-        raise ConfigError(f"{path} is {kind}: name a file")
+    check_regular(path)
     with path.open("rb") as stream:
         data = stream.read(max_size + 1)
     if len(data) > max_size:
@@ -91,9 +101,9 @@ def check_output(path: Path, kind: str, inputs: Iterable[Path | str | None] = ()
     if path.exists() and not path.is_file():
         return False  # a device or a pipe cannot be checked without writing
     try:
-        # Creating a temporary file is the only reliable test of write access to the folder.
-        with replacing(path, keep=False):
-            pass
+        # Writing a temporary file is the only reliable test of access to the folder and of space.
+        with replacing(path, keep=False) as temporary:
+            temporary.write_bytes(bytes(HEAD))
         if not path.exists():
             return False
         with path.open("r+b") as stream:
@@ -121,7 +131,7 @@ def replacing(path: Path, *, keep: bool = True) -> Iterator[Path]:
         keep: True to replace `path` at the end; False to remove the temporary file.
 
     Raises:
-        OSError: The folder or the disk rejects the file.
+        OSError: The folder or the disk rejects the file; the error names `path`.
     """
     if path.exists() and not path.is_file():
         yield path  # a device or a pipe
@@ -136,6 +146,13 @@ def replacing(path: Path, *, keep: bool = True) -> Iterator[Path]:
         if path.exists():
             temporary.chmod(path.stat().st_mode & 0o777)
         temporary.replace(path)
+    except OSError as error:
+        with suppress(OSError):
+            temporary.unlink()
+        # The error of a full disk names no file, others name the temporary one.
+        if error.errno is not None and error.filename in {None, str(temporary)}:
+            error.filename = str(path)
+        raise
     except BaseException:
         with suppress(OSError):
             temporary.unlink()

@@ -327,6 +327,36 @@ def test_the_guardian_lowers_the_arm_after_a_descent_that_failed(bus, begin):
 
 
 @full
+def test_a_program_that_goes_on_after_a_failed_descent_leaves_the_arm_to_its_guardian(bus, begin):
+    program, pid = begin("""
+        print("begin", flush=True)
+        for action in (arm.lower, arm.lower, lambda: arm.write(arm.model.lower)):
+            try:
+                action()
+            except pliant.ServoError as error:
+                print(error, flush=True)
+        time.sleep(3.0)
+        arm.close()
+        print("closed", flush=True)
+        time.sleep(300.0)
+    """)
+    assert program.stdout.readline() == "begin\n"
+    bus.call("pull")
+    assert "the bus is gone" in program.stdout.readline()
+    assert "arm.close() leaves it to its guardian" in program.stdout.readline()
+    assert "may be on after a descent that failed" in program.stdout.readline()
+    bus.call("put_back")
+    assert bus.call("recorder.has_torque")
+    assert program.stdout.readline() == "closed\n"
+    assert wait_for(pid)
+    assert is_running(program.pid)
+    assert not bus.call("recorder.has_torque")
+    program.kill()
+    _, stderr = program.communicate()
+    assert "in the 30 s after this program has closed the arm or ended; later start" in stderr
+
+
+@full
 def test_the_guardian_of_a_lost_arm_does_not_kill_a_program_that_lowers_another(
     bus, begin, tmp_path
 ):

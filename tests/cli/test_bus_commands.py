@@ -369,3 +369,25 @@ def test_a_feetech_servo_that_restarts_while_it_is_set_up_is_reported(tmp_path, 
         assert main([*setup, str(tmp_path / "more.json")]) == 0
         bus.servo(2).power_up()
         assert bus.servo(2).get("operating_mode") == 0
+
+
+@pytest.mark.parametrize(
+    ("register", "is_set_id"), [("lock", False), ("mode", False), ("lock", True), ("id", True)]
+)
+def test_ctrl_c_leaves_the_eeprom_of_a_feetech_servo_locked(
+    register, is_set_id, tmp_path, monkeypatch
+):
+    file, write = tmp_path / "arm.toml", eeprom._write
+
+    def interrupted(io, number, family, name, value):
+        write(io, number, family, name, value)
+        if name == register and value != 1:
+            raise KeyboardInterrupt
+
+    with Emulator([Device("STS3215", id=i, operating_mode=1) for i in range(1, 6)]) as bus:
+        write_arm(file, bus, "STS3215")
+        file.write_text(file.read_text().replace("id = 5", "id = 7" if is_set_id else "id = 5"))
+        monkeypatch.setattr(eeprom, "_write", interrupted)
+        flags = ["--set-id", "5:7"] if is_set_id else ["--backup", str(tmp_path / "old.json")]
+        assert main(["servos", "setup", str(file), "--yes", *flags]) == 130
+        assert [servo.get("lock") for servo in bus.servos] == [1] * 5

@@ -281,7 +281,7 @@ def test_invalid_settings_are_reported_before_torque_comes_on(
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["log", "info", "."], ".: Is a directory"),
+        (["log", "info", "."], ". is a folder: name a file"),
         (["servos", "doctor", "/"], "/ is a folder: name a configuration file in it"),
         (["log", "verify", "x.mcap"], "x.mcap is not a log of pliant: it does not begin as MCAP"),
     ],

@@ -1,7 +1,9 @@
 """A command's output never replaces its input, nor a file of another kind."""
 
+import errno
 import json
 import os
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -157,3 +159,58 @@ def test_files_that_cannot_be_written_give_the_reason(kind, tmp_path):
         tmp_path.chmod(0o500)
         with pytest.raises(pliant.ConfigError, match="permission denied"):
             check_output(tmp_path / "file", kind)
+
+
+def full_disk(*_, **__):
+    raise OSError(errno.ENOSPC, "No space left on device")
+
+
+def test_a_full_disk_is_reported_before_torque_comes_on(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(Path, "write_bytes", full_disk)
+    monkeypatch.setattr(pliant.arm.Arm, "enable", lambda _: pytest.fail("torque came on"))
+    file = tmp_path / "run.mcap"
+    assert main(["run", "so101", "--backend", "sim", "--soft", "y", "--log", str(file)]) == 2
+    assert f"{file} cannot be written: No space left on device" in capsys.readouterr().err
+    assert contents(tmp_path) == {}
+
+
+def test_the_error_of_a_disk_that_fills_up_names_the_file(tmp_path):
+    path = tmp_path / "wave.json"
+
+    def fail(error):
+        with replacing(path) as temporary:
+            raise error(temporary)
+
+    for error in (full_disk, lambda part: PermissionError(errno.EACCES, "denied", str(part))):
+        with pytest.raises(OSError, match=r"space|denied") as caught:
+            fail(error)
+        assert caught.value.filename == str(path)
+    other = tmp_path / "other"
+    with pytest.raises(FileNotFoundError) as caught:
+        fail(lambda _: FileNotFoundError(errno.ENOENT, "missing", str(other)))
+    assert caught.value.filename == str(other)
+    assert contents(tmp_path) == {}
+
+
+def test_the_results_of_identify_are_printed_where_their_file_cannot_be_written(
+    tmp_path, capsys, monkeypatch
+):
+    from pliant.cli import identify
+
+    def _measure(_, __, ___, ____, file):
+        file.add("servos", {})
+        return ["kp = 4.7"]
+
+    monkeypatch.setattr(identify, "_measure", _measure)
+    monkeypatch.setattr(identify.Measurements, "start", lambda *_: None)
+    monkeypatch.setattr(identify.Measurements, "save", full_disk)
+    report = ["--report", str(tmp_path / "report.json")]
+    arm = tmp_path / "arm.toml"
+    arm.write_text(
+        'backend = "sim"\nrobot.builtin = "so101"\n[settings]\ntask = "xyz"\n'
+        '[life]\non_exit = "leave_enabled"\n'
+    )
+    assert main(["identify", str(arm), "servos", *report]) == 2
+    output = capsys.readouterr()
+    assert "kp = 4.7" in output.out
+    assert "No space left on device" in output.err

@@ -1,5 +1,6 @@
 """Standard streams that are closed, or that cannot encode every character."""
 
+import os
 import subprocess
 import sys
 
@@ -32,3 +33,14 @@ def test_characters_that_the_locale_does_not_have_are_replaced(monkeypatch):
     )
     assert result.returncode == 0, result.stderr
     assert b" ?s (50, 99, 99.9 %)" in result.stdout
+
+
+@pytest.mark.parametrize("command", [["arms"], ["servos", "doctor", "so101", "--backend", "sim"]])
+def test_a_reader_that_has_gone_is_not_a_declined_prompt(command):
+    reader, writer = os.pipe()
+    os.close(reader)
+    with os.fdopen(writer, "wb") as stream:
+        result = subprocess.run(
+            [*PLIANT, *command], stdout=stream, stderr=subprocess.PIPE, timeout=100, check=False
+        )
+    assert (result.returncode, result.stderr) == (141, b"")

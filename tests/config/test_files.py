@@ -85,6 +85,10 @@ def test_urdf_and_file_that_disagree_on_joints():
         ('preset = "soft"\n' + SIM, "needs its axes"),
         ('preset = { name = "wipe", pres = 3 }\n' + SIM, "pres"),
         ("preset = { press = 3 }\n" + SIM, "without a name"),
+        ("preset = 3\n" + SIM, r'preset: takes a name, as "door", or a table, .* got 3$'),
+        (SIM + '[settings]\npreset = "door"', "settings: preset belongs at the top of the file"),
+        (SIM + "[loop]\npreset = 'door'", r"loop\.preset is not a key here: preset belongs at the"),
+        (SIM + '[port]\npath = "x"', r"port is a list of tables: \[\[port\]\] in double brackets"),
         ('robot.builtin = "so101"', "needs a servo for every joint"),
         (
             SIM + "[gripper]\nopened = 1\nclosed = 1\n[gripper.servo]\nmodel = 'MX-64'\nid = 1",
@@ -343,3 +347,32 @@ def test_a_wrong_loop_does_not_hide_a_wrong_preset():
         config.parse('preset = "soft"\n' + SIM + "[loop]\nrate = -1\n")
     assert "loop.rate = -1" in str(error.value)
     assert 'preset "soft" needs its axes' in str(error.value)
+
+
+@pytest.mark.parametrize("backend", ["sim", "bus"])
+def test_software_limits_of_a_servo_narrow_those_of_the_model(backend):
+    text = config.loader.builtin_text("so101")
+    line = next(row for row in text.splitlines() if row.startswith("elbow_flex"))
+
+    def model(bounds, more=""):
+        changed = text.replace(line, line.rstrip(" }") + f", {bounds} }}") + more
+        return config.parse(changed, source="arm.toml", backend=backend).model()
+
+    ends = config.parse(text, source="arm.toml").model()
+    narrow = model("lower = -0.2, upper = 0.1")
+    assert (narrow.lower[2], narrow.upper[2]) == (-0.2, 0.1)
+    np.testing.assert_array_equal(np.delete(narrow.lower, 2), np.delete(ends.lower, 2))
+    assert np.array_equal(narrow.servos.kp, ends.servos.kp)
+    wide = model("lower = -9.0, upper = 9.0")
+    assert (wide.lower[2], wide.upper[2]) == (ends.lower[2], ends.upper[2])
+    one = model("upper = 0.1")
+    assert (one.lower[2], one.upper[2]) == (ends.lower[2], 0.1)
+    for bounds in ("lower = 0.3, upper = -0.3", "upper = -9.0"):
+        with pytest.raises(pliant.ConfigError, match=r"servo\.elbow_flex: .* leave no range"):
+            model(bounds)
+
+
+def test_a_byte_order_mark_is_ignored(tmp_path):
+    file = tmp_path / "arm.toml"
+    file.write_text(SIM, encoding="utf-8-sig")
+    assert config.load(file).robot.builtin == "so101"

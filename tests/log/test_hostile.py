@@ -227,3 +227,6 @@ def test_files_without_an_end_are_refused(tmp_path):
                 load(name)
     with pytest.raises(pliant.ConfigError):
         pliant.config.load(tmp_path / "pipe.toml")
+    os.mkfifo(tmp_path / "pipe.mcap")
+    with pytest.raises(pliant.ConfigError, match="a pipe or a device: name a file"):
+        read(tmp_path / "pipe.mcap")

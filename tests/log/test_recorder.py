@@ -85,3 +85,30 @@ def test_an_error_of_the_program_is_not_hidden_by_the_recorder(arm, tmp_path):
     assert log.whole
     assert len(log) == 1
     assert np.isnan(log.goal).all()
+
+
+def test_a_disk_that_fills_up_is_reported_at_once_and_the_log_is_readable(arm, tmp_path, capfd):
+    resource = pytest.importorskip("resource", reason="Windows has no limit of file sizes")
+    path, limits = tmp_path / "x.mcap", resource.getrlimit(resource.RLIMIT_FSIZE)
+    controller = pliant.Controller(arm.model, pliant.Settings.firm(task="xyz"), arm.servos)
+    recorder = Recorder(path)
+    try:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (45_000, limits[1]))
+        loop = pliant.Loop(arm, controller, duration=5.0, recorder=recorder)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+
+    def run():
+        for tick in loop:
+            tick.step(arm.model.forward_kinematics(tick.q))
+            if tick.index == 400:
+                recorder._sender.finish(60.0)
+                recorder._process.wait(60.0)
+
+    with pytest.raises(OSError, match=r"x\.mcap: the log could not be written to its end"):
+        run()
+    error = capfd.readouterr().err
+    assert error == f"pliant: {path}: File too large; the log ends here\n"
+    log = read(path)
+    assert 20 < len(log) < 400
+    assert not log.whole

@@ -144,3 +144,12 @@ def test_looking_whether_a_file_can_be_written_changes_nothing(tmp_path):
     assert check_output(old, "motion")
     assert not new.exists()
     assert old.read_text() == '{"format": "pliant motion 1"}'
+
+
+@pytest.mark.parametrize("key", ["joints", "extra"])
+@pytest.mark.parametrize("names", ["abcde", [None, "b", "c", "d", "e"], {"a": 1}, 3])
+def test_names_that_are_no_names_are_refused(motion_file, key, names):
+    path, data = motion_file
+    path.write_text(json.dumps({**data, key: names}))
+    with pytest.raises(pliant.ConfigError, match=rf"{path.name}: {key} must be a list of names"):
+        Motion.load(path)

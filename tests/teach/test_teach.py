@@ -12,6 +12,7 @@ from bare_arm import bare_arm, left_enabled
 import pliant
 import pliant.robots
 from pliant.cli import main
+from pliant.cli.teach import _save_elsewhere
 from pliant.sim import Drag, ForceProfile
 from pliant.teach import Motion, Replay, Teacher, record, retime
 from pliant.teach import _scripted_hand as lead
@@ -184,6 +185,8 @@ def test_a_motion_of_another_arm_is_refused(tmp_path):
     controller = pliant.Controller(MODEL, SETTINGS)
     with pytest.raises(pliant.ConfigError, match="this arm has"):
         Replay(controller, replace(wave(), joints=("a", "b", "c", "d", "e")))
+    with pytest.raises(pliant.ConfigError, match=r"the motion is of .*; this arm has"):
+        replace(wave(), joints=NAMES[1:], q=wave().q[:, 1:]).for_model(MODEL)
     with pytest.raises(pliant.ConfigError, match="beyond its limits"):
         Replay(controller, replace(wave(), q=wave().q + 3.0))
     (tmp_path / "no.json").write_text("{}")
@@ -338,3 +341,45 @@ def test_the_command_teaches_nothing_without_a_hand(tmp_path, capsys):
     assert not file.exists()
     assert main(["teach", "so101", str(tmp_path / "m.txt"), "--backend", "sim"]) == 2
     assert main(["teach", "arm7", str(file), "--by", "gripper"]) == 2
+
+
+def test_a_motion_is_handed_out_if_the_last_message_cannot_be_shown():
+    course = ForceProfile(start=9.0, rise=2.0, end=11.5)
+    hand = Drag(axis="y", distance=0.06, stiffness=2000.0, limit=60.0, at="tool", course=course)
+    motions = []
+
+    def on_status(line):
+        if line.startswith("kept"):
+            raise BrokenPipeError
+
+    with (
+        bare_arm("so101", q=START, scene=[hand], on_exit="leave_enabled") as arm,
+        pytest.raises(BrokenPipeError),
+    ):
+        record(arm, idle_timeout=1.0, on_status=on_status, on_interrupt=motions.append)
+    (motion,) = motions
+    assert 1.5 < motion.trimmed().duration < 3.5
+
+
+def test_a_motion_whose_file_cannot_be_written_is_kept_elsewhere(tmp_path, capsys, monkeypatch):
+    file, save, other = tmp_path / "m.json", Motion.save, tmp_path / "tmp"
+    other.mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(other))
+
+    def fail(motion, path):
+        if path == file:
+            raise OSError(28, "No space left on device")
+        save(motion, path)
+
+    monkeypatch.setattr(Motion, "save", fail)
+    monkeypatch.setattr("sys.stdin", io.StringIO())
+    arm = left_enabled(tmp_path)
+    assert main(["teach", arm, str(file), "--backend", "sim", "--scripted-hand"]) == 2
+    (kept,) = other.iterdir()
+    error = " ".join(capsys.readouterr().err.split())
+    assert f"{file}: No space left on device. The motion is in {kept}" in error
+    assert_scripted_motion(kept)
+    motion = Motion.load(kept)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "none"))
+    with pytest.raises(OSError, match="disk full"):
+        _save_elsewhere(motion, file, OSError("disk full"))

@@ -13,6 +13,7 @@ import numpy as np
 
 from pliant._core import PliantError
 from pliant._extras import missing
+from pliant._files import replacing
 
 try:
     import matplotlib
@@ -113,8 +114,10 @@ def save(figure: Figure, folder: Path, name: str) -> None:
     """Write `name.png` and `name.svg` without dates, so that equal figures give equal files."""
     folder.mkdir(parents=True, exist_ok=True)
     metadata = dict.fromkeys(("Date", "Creator", "Format", "Type"))
-    figure.savefig(folder / f"{name}.png", dpi=PIXELS_PER_INCH, metadata={"Software": None})
-    figure.savefig(folder / f"{name}.svg", metadata=metadata)
+    with replacing(folder / f"{name}.png") as file:
+        figure.savefig(file, dpi=PIXELS_PER_INCH, metadata={"Software": None})
+    with replacing(folder / f"{name}.svg") as file:
+        figure.savefig(file, metadata=metadata)
 
 
 def thin(t: Array, *, rate: float = 25.0) -> slice:

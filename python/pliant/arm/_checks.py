@@ -20,7 +20,10 @@ if TYPE_CHECKING:
 
 
 #: Error message if an arm is used before it is enabled.
-TORQUE_OFF = "torque is off, or was left on: use `with connect(...) as arm`, or arm.enable()"
+TORQUE_OFF = (
+    "torque is off, was left on, or may be on after a descent that failed: use `with connect(...) "
+    "as arm`, or arm.enable()"
+)
 #: Type of joint vectors.
 FLOAT = np.dtype(np.float64)
 #: Distance by which an accepted joint position may exceed its limits [rad].

@@ -182,7 +182,10 @@ class ExitMessages:
         if on is None:
             again = "start the program again, which takes the arm over"
             if has_guardian:
-                again = f"its guardian lowers it if that takes less than 30 s, otherwise {again}"
+                again = (
+                    "its guardian lowers it in the 30 s after this program has closed the arm or "
+                    f"ended; later {again}"
+                )
             return self._post(
                 f"{self._name} was not lowered, the bus is gone: servos that have power keep their "
                 f"last goal and limit, torque ON. Repair the connection; {again}; or support the "

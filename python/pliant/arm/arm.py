@@ -354,8 +354,10 @@ class Arm:
         """
         if not self.enabled:
             if self._is_unfinished:
+                guardian = ", arm.close() leaves it to its guardian" if self._guardian else ""
                 raise ServoError(
                     "the last descent failed, torque may be ON: arm.enable() takes the arm over"
+                    f"{guardian}"
                 )
             if self._is_left_on:
                 raise ServoError(

@@ -8,7 +8,7 @@ import sys
 import threading
 from typing import TYPE_CHECKING
 
-from rich.console import Console
+from rich.console import Console as RichConsole
 
 from pliant._core import ConfigError
 
@@ -17,6 +17,17 @@ if TYPE_CHECKING:
 
     from pliant.arm import Arm
     from pliant.loop import Loop
+
+
+class Console(RichConsole):
+    """Console that raises `BrokenPipeError` where the reader of the output has gone.
+
+    The base class ends the program with the exit code of a declined prompt.
+    """
+
+    def on_broken_pipe(self) -> None:
+        """Raise the `BrokenPipeError` that is being handled."""
+        raise  # noqa: PLE0704
 
 
 def print_line(text: str, console: Console | None = None) -> None:

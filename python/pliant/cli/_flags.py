@@ -8,12 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
-from rich.console import Console
 
 from pliant import config
 from pliant._core import ConfigError
 from pliant._files import check_output
-from pliant.cli._console import print_line
+from pliant.cli._console import Console, print_line
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

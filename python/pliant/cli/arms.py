@@ -8,11 +8,11 @@ from typing import Annotated
 
 import tyro
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
 from rich.table import Table
 
 from pliant import config
 from pliant._core import ConfigError
+from pliant.cli._console import Console
 from pliant.config import loader
 
 #: Optional name of a configuration in the package.

@@ -6,11 +6,10 @@ from contextlib import closing
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
-from rich.console import Console
 
 from pliant import identify
 from pliant._core import ConfigError, Controller
-from pliant.cli._console import print_line
+from pliant.cli._console import Console, print_line
 from pliant.cli._flags import ArmName, ConfigFlags, File
 from pliant.cli._measurements import Measurements, height_error
 from pliant.config import connect
@@ -79,11 +78,14 @@ def run(
             with connected as live:
                 results.append(_measure(procedure, live, arm_config, options, file))
     finally:
-        # Write after the descent: a blocked terminal or disk must not delay it.
-        if file is not None and "servos" in file.steps:
-            file.save()
-        for line in (line for lines in results for line in lines):
-            print_line(line, console)
+        # Write after the descent: a blocked terminal or disk must not delay it. If the file cannot
+        # be written, the results are printed nevertheless.
+        try:
+            if file is not None and "servos" in file.steps:
+                file.save()
+        finally:
+            for line in (line for lines in results for line in lines):
+                print_line(line, console)
 
 
 def _measure(

@@ -6,11 +6,10 @@ from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
-from rich.console import Console
 
 from pliant import teach
 from pliant._core import ConfigError, Controller
-from pliant.cli._console import Keyboard, print_line
+from pliant.cli._console import Console, Keyboard, print_line
 from pliant.cli._flags import (
     ArmName,
     Axes,

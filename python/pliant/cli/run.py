@@ -7,13 +7,12 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 import tyro
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
 from pliant._core import Command, Controller, Model
 from pliant._validation import AXES
-from pliant.cli._console import print_summary
+from pliant.cli._console import Console, print_summary
 from pliant.cli._control import check_settings, load, make_loop
 from pliant.cli._flags import ArmName, Axes, ConfigFlags, File, Seconds
 from pliant.cli._targets import Targets, open_targets

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import os
 import shlex
-from typing import TYPE_CHECKING, Annotated, Literal
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal, NoReturn
 
 import tyro
-from rich.console import Console
 
 from pliant import teach
-from pliant._core import ConfigError
-from pliant.cli._console import Keyboard, print_line
+from pliant._core import ConfigError, PliantError
+from pliant.cli._console import Console, Keyboard, print_line
 from pliant.cli._flags import (
     ArmName,
     ConfigFlags,
@@ -89,7 +91,10 @@ def run(
     def save(recorded: Motion) -> None:
         recorded = replace(recorded, note=note)
         # Save before `retime` applies the bounds: after an error there, the motion is not lost.
-        recorded.save(motion)
+        try:
+            recorded.save(motion)
+        except (ConfigError, OSError) as error:
+            _save_elsewhere(recorded, motion, error)
         if bounds is not None:
             teach.retime(recorded, bounds).save(motion)
         files = map(shlex.quote, (arm, str(motion)))
@@ -116,3 +121,18 @@ def run(
         motions.extend(motion.trimmed().smoothed().for_model(live.model) for motion in interrupted)
         for recorded in motions:
             save(recorded)
+
+
+def _save_elsewhere(recorded: Motion, file: Path, error: Exception) -> NoReturn:
+    """Save a motion whose file cannot be written to the folder for temporary files.
+
+    Raises:
+        PliantError: Always; the text says where the motion is.
+    """
+    other = Path(tempfile.gettempdir()) / f"{file.stem}-{os.getpid()}.json"
+    reason = f"{file}: {error.strerror}" if isinstance(error, OSError) else str(error)
+    try:
+        recorded.save(other)
+    except (ConfigError, OSError):
+        raise error from None
+    raise PliantError(f"{reason}. The motion is in {other}: move it from there") from error

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
-from rich.console import Console
 
 import pliant.robots
 from pliant._core import ConfigError, PliantError
 from pliant._extras import missing
+from pliant.cli._console import Console
 from pliant.cli._flags import ArmName, ConfigFlags, File, HttpPort, check_log, check_port
 
 if TYPE_CHECKING:

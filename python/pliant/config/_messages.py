@@ -14,6 +14,10 @@ if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
 
 
+#: Remedy for a key of the file that stands in one of its tables.
+AT_THE_TOP = "{} belongs at the top of the file, before its first table in [brackets]"
+
+
 def explain(error: ValidationError, schema: type[BaseModel]) -> list[str]:
     """Return a sentence for each validation error: key, value and allowed values."""
     return list(dict.fromkeys(_sentence(detail, schema) for detail in error.errors()))
@@ -31,10 +35,14 @@ def _sentence(detail: ErrorDetails, schema: type[BaseModel]) -> str:
     key = _path(detail["loc"])
     kind = detail["type"]
     if kind == "extra_forbidden":
-        word = str(detail["loc"][-1])
-        return f"{key} is not a key here; {suggest(word, keys(schema, detail['loc'][:-1]))}"
+        word, *above = str(detail["loc"][-1]), *detail["loc"][:-1]
+        if above and word in keys(schema, ()):
+            return f"{key} is not a key here: {AT_THE_TOP.format(word)}"
+        return f"{key} is not a key here; {suggest(word, keys(schema, above))}"
     if kind == "missing":
         return f"{key} is missing"
+    if kind == "list_type" and isinstance(detail["input"], dict):
+        return f"{key} is a list of tables: [[{key}]] in double brackets begins each of them"
     message = detail["msg"].removeprefix("Value error, ")
     message = message[:1].lower() + message[1:]
     if kind in {"value_error", "assertion_error"}:

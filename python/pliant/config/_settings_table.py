@@ -16,7 +16,7 @@ from pliant._core import (
     TorqueLimits,
     Tracking,
 )
-from pliant.config._messages import suggest
+from pliant.config._messages import AT_THE_TOP, suggest
 from pliant.functional import PaperOptions
 
 if TYPE_CHECKING:
@@ -67,6 +67,8 @@ def resolve(
         The settings (None if there are errors), and one sentence per error.
     """
     remaining, errors = dict(fields), list[str]()
+    if remaining.pop("preset", None) is not None:
+        errors.append(AT_THE_TOP.format("preset"))
     if "axes" in remaining:
         remaining["axes"] = _axes(remaining["axes"], errors)
     if isinstance(remaining.get("task"), dict):

@@ -148,7 +148,8 @@ def parse(
             "(docs/config.md), or behind --urdf where a ready file has none of its own"
         )
     try:
-        table = tomllib.loads(text)
+        # Editors of Windows begin a file with a byte order mark.
+        table = tomllib.loads(text.removeprefix("\ufeff"))
     except tomllib.TOMLDecodeError as error:
         cause = str(error)
         if "Unescaped" in cause or "hex value" in cause:  # "C:\Users\..."

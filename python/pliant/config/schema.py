@@ -134,7 +134,8 @@ class Servo(StrictModel):
             middle of the servo's range.
         gear_ratio: Turns of the servo per turn of the joint.
         secondary: Second servo on the same joint.
-        lower, upper: Software position limits [rad]; None: the limits of the servo.
+        lower, upper: Software position limits [rad], which narrow those of the model; None: the
+            limits of the servo.
         stall: Stall torque at the rated voltage [N·m]; None: that of the servo model.
         torque_offset: Torque loss in the gears [N·m], subtracted from the torque of the torque
             limit register.
@@ -298,9 +299,13 @@ class Config(StrictModel):
     _folder: Path = PrivateAttr(default=Path())
     _source: str = PrivateAttr(default="configuration")
 
-    @field_validator("preset")
+    @field_validator("preset", mode="before")
     @classmethod
-    def _exists(cls, preset: str | dict[str, Any] | None) -> str | dict[str, Any] | None:
+    def _exists(cls, preset: Any) -> Any:
+        if preset is not None and not isinstance(preset, str | dict):
+            raise ValueError(
+                f'takes a name, as "door", or a table, as {{ name = "wipe" }}, got {preset!r}'
+            )
         check_preset(preset)
         return preset
 
@@ -344,19 +349,29 @@ class Config(StrictModel):
         if robot.payload is not None:
             options["payload"] = ToolPayload(robot.payload.mass, robot.payload.com)
         options = {key: value for key, value in options.items() if value is not None}
-        if robot.builtin is not None:
-            out = robots.load(robot.builtin, **options)
-        else:
-            assert robot.urdf is not None
-            path = resolve_path(self, robot.urdf)
-            if not path.is_file():
-                raise ConfigError(
-                    f"robot.urdf: there is no file {path}; give the path of this arm's URDF, in "
-                    "the file or by --urdf"
-                )
-            out = Model.from_urdf(str(path), **options)
+        out = self._load(options)
         _match(self, out)
+        if narrowed := _software_limits(self, out):
+            out = self._load({**options, "limits": {**robot.limits, **narrowed}})
         return out.with_servos(chain_servos(self, out)) if self.servo else out
+
+    def _load(self, options: dict[str, Any]) -> Model:
+        """Return the built-in model or that of the URDF, with these options of `Model.from_urdf`.
+
+        Raises:
+            UrdfError: The URDF is not usable.
+            ConfigError: There is no such URDF file, or an option is not valid.
+        """
+        if self.robot.builtin is not None:
+            return robots.load(self.robot.builtin, **options)
+        assert self.robot.urdf is not None
+        path = resolve_path(self, self.robot.urdf)
+        if not path.is_file():
+            raise ConfigError(
+                f"robot.urdf: there is no file {path}; give the path of this arm's URDF, in the "
+                "file or by --urdf"
+            )
+        return Model.from_urdf(str(path), **options)
 
     def settings(self) -> Settings:
         """Return the settings of the controller, validated by `pliant.Settings`.
@@ -520,6 +535,34 @@ def _match(config: Config, model: Model) -> None:
         f"file and URDF disagree on the joints from {model.base} to {model.tip}: "
         f"{'; '.join(parts)}. The chain has {', '.join(model.joint_names)}"
     )
+
+
+def _software_limits(config: Config, model: Model) -> dict[str, tuple[float, float]]:
+    """Return the position limits [rad] of joints whose servo has `lower` or `upper`, by name.
+
+    They are the limits of the model, narrowed by those of the servo: otherwise the servo bus would
+    cut goals that the controller believes are followed.
+
+    Raises:
+        ConfigError: A servo leaves its joint no range.
+    """
+    out = {}
+    ends = zip(model.joint_names, model.lower.tolist(), model.upper.tolist(), strict=True)
+    for joint, lowest, highest in ends:
+        servo = config.servo.get(joint)
+        if servo is None or (servo.lower is None and servo.upper is None):
+            continue
+        lower = lowest if servo.lower is None else max(lowest, servo.lower)
+        upper = highest if servo.upper is None else min(highest, servo.upper)
+        if not lower < upper:
+            bounds = [bound for bound in (servo.lower, servo.upper) if bound is not None]
+            raise ConfigError(
+                f"servo.{joint}: lower and upper, here {', '.join(f'{b:g}' for b in bounds)} rad, "
+                f"leave no range within {lowest:g} to {highest:g} rad, the limits of the model; "
+                f"lower is below upper, and robot.limits.{joint} replaces those of the model"
+            )
+        out[joint] = (lower, upper)
+    return out
 
 
 def zeros(config: Config) -> dict[str, float | None]:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pliant._core import ConfigError, Controller, Model, Servos, Settings
+from pliant._files import check_regular
 from pliant.log import layout, serialization
 from pliant.log._mcap import Attachment, Channel, DecoderFactory, Message, Schema
 from pliant.log.records import CutShortError, DamagedError, records
@@ -104,8 +105,8 @@ def read(path: str | Path) -> Log:
     """Read a log written by `Recorder`; a damaged log is read up to its last valid record.
 
     Raises:
-        ConfigError: The file is not a log, is of another layout version, or ends before the first
-            record.
+        ConfigError: The path is not a file; or the file is not a log, is of another layout version,
+            or ends before the first record.
         OSError: The file cannot be read.
     """
     try:
@@ -124,6 +125,7 @@ def _read(path: Path) -> Log:
     rows = {"/pliant/tick": ticks, "/pliant/call": calls}
     whole, damage, end = False, "", {}
     decode = _Decoder()
+    check_regular(path)
     with path.open("rb") as stream:
         try:
             for record in records(stream, path.stat().st_size):

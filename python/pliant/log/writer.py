@@ -156,11 +156,23 @@ class LogFile:
 def main() -> None:
     """Write the frames from standard input to the log `sys.argv[1]`, until the input ends."""
     lower_priority()
-    source = sys.stdin.buffer
+    path, source = Path(sys.argv[1]), sys.stdin.buffer
+    try:
+        write(path, source)
+    except OSError as error:
+        # Say so now: the program learns it from the exit code at the end of its run.
+        sys.exit(f"pliant: {path}: {error.strerror or error}; the log ends here")
+
+
+def write(path: Path, source: BinaryIO) -> None:
+    """Write the frames from `source` to the log `path`, until they end.
+
+    Raises:
+        OSError: The disk rejects the file. What was written before can be read as a log.
+    """
     first = frames.receive(source)
     if first is None:
         return
-    path = Path(sys.argv[1])
     with ExitStack() as stack:
         with replacing(path) as temporary:
             stream = stack.enter_context(temporary.open("wb"))

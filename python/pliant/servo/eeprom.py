@@ -196,8 +196,9 @@ def write_changes(io: TransactionGuard, family: Family, required: Sequence[Regis
         return
     first, failed = required[0], []
     _check_torque(io, first.joint, first.id, family)
-    _lock(io, first.id, family, locked=False)
     try:
+        # Inside `try`: the servo may unlock its EEPROM although its reply is lost or interrupted.
+        _lock(io, first.id, family, locked=False)
         for change in required:
             _write(io, change.id, family, change.register, change.new)
             if (value := read(io, change.id, family, change.register)) != change.new:
@@ -223,14 +224,19 @@ def set_id(io: TransactionGuard, joint: str, row: ServoModel, old: int, new: int
             taken; or the servo did not accept it.
     """
     check_set_id(io, joint, row, old, new)
-    family = row.family
-    _lock(io, old, family, locked=False)
-    _write(io, old, family, "id", new)
+    family, is_known = row.family, False
     try:
-        _check_model(io, joint, new, row)
-    except ServoError as error:
-        raise ServoError(f"id {old} may not have become id {new}: {error}") from error
-    _lock(io, new, family, locked=True)
+        _lock(io, old, family, locked=False)
+        _write(io, old, family, "id", new)
+        try:
+            _check_model(io, joint, new, row)
+        except ServoError as error:
+            raise ServoError(f"id {old} may not have become id {new}: {error}") from error
+        is_known = True
+    finally:
+        # After an error or an interruption, the servo has one of the two ids.
+        for number in (new,) if is_known else (new, old):
+            _lock(io, number, family, locked=True)
 
 
 def check_set_id(io: TransactionGuard, joint: str, row: ServoModel, old: int, new: int) -> None:

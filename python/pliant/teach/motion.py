@@ -153,11 +153,7 @@ class Motion:
             ConfigError: The joints differ, positions exceed the limits, or the tool would start at
                 another position than in the recording.
         """
-        if self.joints != tuple(model.joint_names):
-            raise ConfigError(
-                f"the motion is of {', '.join(self.joints)}; this arm has "
-                f"{', '.join(model.joint_names)}"
-            )
+        self._check_joints(model)
         excess = np.maximum(self.q - model.upper, model.lower - self.q).max(axis=0)
         worst = int(np.argmax(excess))
         # Allow small excess: an arm guided by hand can be moved slightly beyond its limits.
@@ -178,10 +174,22 @@ class Motion:
                 )
 
     def for_model(self, model: Model) -> Motion:
-        """Return a copy with `start` set to the tool position of a model at the first sample."""
+        """Return a copy with `start` set to the tool position of a model at the first sample.
+
+        Raises:
+            ConfigError: The joints differ.
+        """
+        self._check_joints(model)
         q = np.clip(self.q[0], model.lower, model.upper)
         x, y, z = model.forward_kinematics(q)[:3, 3].tolist()
         return replace(self, start=(x, y, z))
+
+    def _check_joints(self, model: Model) -> None:
+        if self.joints != tuple(model.joint_names):
+            raise ConfigError(
+                f"the motion is of {', '.join(self.joints)}; this arm has "
+                f"{', '.join(model.joint_names)}"
+            )
 
     def trimmed(self) -> Motion:
         """Return a copy without the rest before and after the motion, and without `start`.
@@ -297,7 +305,10 @@ class Motion:
             data: Any = json.loads(read_text(path, LARGE))
             if data["format"] != FORMAT:
                 raise ConfigError(f"format is {data['format']!r}, this pliant reads {FORMAT!r}")
-            samples, joints, names = data["samples"], tuple(data["joints"]), list(data["extra"])
+            for key in ("joints", "extra"):
+                if not (isinstance(data[key], list) and all(isinstance(x, str) for x in data[key])):
+                    raise ConfigError(f"{key} must be a list of names in quotes")
+            samples, joints, names = data["samples"], tuple(data["joints"]), data["extra"]
             n = len(joints)
             width = 1 + n + len(names)
             for i, sample in enumerate(samples, 1):

@@ -147,9 +147,9 @@ def record(
         should_toggle: Function called in every tick with the `Teacher` and the arm's state; returns
             True if the user asks to start or to stop.
         on_status: Function that is called with a line of text at every change of the status.
-        on_interrupt: Function that is called with the motion so far if an exception (also Ctrl-C)
-            ends the recording of an arm that has moved. It should return quickly, because the arm
-            is lowered only afterwards.
+        on_interrupt: Function that is called with the motion so far, neither trimmed nor smoothed,
+            if an exception (also Ctrl-C, or one of `on_status`) ends this function once the arm
+            has moved. It should return quickly, because the arm is lowered only afterwards.
 
     Raises:
         PliantError: Nothing was recorded, or the arm was not moved within `start_timeout`.
@@ -157,6 +157,7 @@ def record(
     """
     teacher = Teacher(arm, rate=arm.rate)
     on_status("do not touch: the arm swings a little to find its weight")
+    recorded: Motion | None = None
     try:
         _record(
             arm,
@@ -167,12 +168,15 @@ def record(
             should_toggle=should_toggle,
             on_status=on_status,
         )
+        recorded = teacher.stop()
+        motion = recorded.trimmed().smoothed().for_model(arm.model)
+        on_status(f"kept {motion.duration:.1f} s")
     except BaseException:
-        if teacher.recording and teacher.moved:
-            on_interrupt(teacher.stop())
+        if teacher.moved and recorded is None and teacher.recording:
+            recorded = teacher.stop()
+        if teacher.moved and recorded is not None:
+            on_interrupt(recorded)
         raise
-    motion = teacher.stop().trimmed().smoothed().for_model(arm.model)
-    on_status(f"kept {motion.duration:.1f} s")
     return motion
 
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from rich.console import Console
 
 from pliant._files import printable
-from pliant.cli._console import print_line
+from pliant.cli._console import Console, print_line
 from pliant.cli._flags import LogFile
 
 if TYPE_CHECKING:

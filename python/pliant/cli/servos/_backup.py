@@ -33,12 +33,8 @@ def save(path: Path, arm: str, planned: Sequence[RegisterChange]) -> None:
     if path.exists():
         raise ConfigError(f"{path} exists, and keeps the old values in it: give another --backup")
     data = {"format": FORMAT, "arm": arm, "changes": [asdict(change) for change in planned]}
-    try:
-        with replacing(path) as temporary:
-            temporary.write_text(json.dumps(data, indent=1), encoding="utf-8")
-    except OSError as error:
-        # The error of a full disk names no file.
-        raise OSError(error.errno, error.strerror, str(path)) from error
+    with replacing(path) as temporary:
+        temporary.write_text(json.dumps(data, indent=1), encoding="utf-8")
 
 
 def load(path: Path, arm: str) -> list[RegisterChange]:

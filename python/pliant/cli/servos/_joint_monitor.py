@@ -18,10 +18,10 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from numpy.typing import ArrayLike
-    from rich.console import Console
 
     from pliant._core import Model
     from pliant._typing import Array, Mask
+    from pliant.cli._console import Console
     from pliant.config import Config
 
 

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from rich.console import Console
 from rich.markup import escape
 
 from pliant._core import ConfigError, PliantError
-from pliant.cli._console import Keyboard, print_line
+from pliant.cli._console import Console, Keyboard, print_line
 from pliant.cli._flags import ArmName, ConfigFlags, File, Seconds, check_duration
 from pliant.cli._measurements import Measurements
 from pliant.cli.servos._joint_monitor import watch as watch_joints

@@ -7,10 +7,10 @@ import time
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
-from rich.console import Console
 
 from pliant._core import ConfigError
 from pliant._processes import raise_priority
+from pliant.cli._console import Console
 from pliant.cli._flags import ArmName, FileFlags, Seconds, check_duration
 from pliant.emulator import Faults, JointHand, Timing, ranges, wave
 

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
 from rich.table import Table
 
 from pliant._core import ConfigError, ServoError
-from pliant.cli._console import print_line
+from pliant.cli._console import Console, print_line
 from pliant.cli._flags import Device
 from pliant.servo import serial_ports
 from pliant.servo.scan import ALL, BAUDRATES, USUAL, ScannedServo, scan

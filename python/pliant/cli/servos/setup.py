@@ -7,11 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
 from rich.table import Table
 
 from pliant._core import ConfigError, ServoError
-from pliant.cli._console import print_line
+from pliant.cli._console import Console, print_line
 from pliant.cli._flags import ArmName, BusFlags, File, Ids
 from pliant.cli.servos import _backup as backups
 from pliant.config import factory
