@@ -132,6 +132,8 @@ SLOW_ADAPTER = Timing(wire=True, usb_latency=0.016)
 TIMED = Timing(wire=True, usb_latency=0.001)
 #: Poses in which the tool is 32 cm and 3 cm above the end of its descent [rad].
 HIGH, LOW = [0.0, 0.2, 0.0, 0.2, 0.0], [0.0, 1.5, 0.0, 0.0, 0.0]
+#: A pose with large torques of all joints that lift the arm [rad].
+STRETCHED = [0.1, 0.4, 0.2, 0.1, 0.0]
 
 
 def hold(arm, rate, pause=0.0):
@@ -474,6 +476,29 @@ def test_a_descent_without_replies_that_is_aborted_does_not_lift_the_arm(monkeyp
         wait(arm.clock.now() + 1.0)
         # 56 mm and 0.3 m/s if the arm is held where its positions were last known.
         assert bus.plant.tool[2, 3] < low + 0.005
+        arm.close()
+
+
+def test_a_servo_that_hears_only_while_torque_comes_on_does_not_lift_the_arm():
+    """It gets limits, but no goals, and still has the large lead of the first goals.
+
+    With a slow adapter, it counts as silent before it gets the goals that hold the arm.
+    """
+    with arm_over_bytes("sts", STRETCHED, plant={}, timing=SLOW_ADAPTER) as (bus, arm):
+        heights = []
+
+        def watch(_):
+            if all(servo.enabled for servo in bus.servos):
+                if not heights:
+                    bus.faults.inject("lose", id=2, count=10**6, skip=20)
+                heights.append(bus.plant.tool[2, 3])
+
+        bus.world.watchers.append(watch)
+        with pytest.raises(pliant.ServoTimeoutError, match="no position of shoulder_lift"):
+            arm.enable()
+        # 19 mm if its limit rises.
+        assert max(heights) - heights[0] < 0.005
+        bus.faults.clear()
         arm.close()
 
 
