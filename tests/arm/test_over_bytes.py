@@ -479,6 +479,26 @@ def test_a_descent_without_replies_that_is_aborted_does_not_lift_the_arm(monkeyp
         arm.close()
 
 
+@pytest.mark.parametrize("family", FAMILIES)
+def test_an_error_before_torque_names_the_servo_that_keeps_a_torque_limit(family):
+    with arm_over_bytes(family, LOW, patience=0.01) as (bus, arm):
+        arm.open()
+        register = {"sts": "torque_limit", "x": "goal_pwm"}[family]
+        factory = bus.servo(3).get(register)
+
+        def watch(transaction):
+            if any(write.id == 3 and register in write.values for write in transaction.writes):
+                for kind in ("deaf", "lose"):
+                    bus.faults.inject(kind, id=3, count=10**6)
+
+        bus.log.watch = watch
+        with pytest.raises(pliant.ServoError, match=r"elbow_flex: torque limits and speeds are"):
+            arm.enable()
+        assert bus.servo(3).get(register) < factory
+        assert not any(servo.enabled for servo in bus.servos)
+        arm.close()
+
+
 def test_a_servo_that_hears_only_while_torque_comes_on_does_not_lift_the_arm():
     """It gets limits, but no goals, and still has the large lead of the first goals.
 
