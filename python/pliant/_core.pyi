@@ -2820,6 +2820,30 @@ class Lowering:
     def skip_rest(self) -> None:
         """End the motion toward the rest pose: the arm descends from where it is."""
 
+    def take_over(
+        self,
+        joints: Sequence[bool] | NDArray[np.bool_],
+        q: ArrayLike,
+        goal: ArrayLike,
+        limit: ArrayLike,
+    ) -> None:
+        """Take over joints whose servos had not answered before; begin the present phase again.
+
+        The other joints keep their goals and limits. If limits were falling, the descent goes back
+        to the phase `down`.
+
+        Args:
+            joints: Mask of the joints (n,).
+            q: Positions (n,) [rad]; like those of `goal` and `limit`, entries of other joints are
+                ignored, but must be finite.
+            goal: Goals in the servos (n,) [rad].
+            limit: Torque limits in the servos (n,) [N·m], clamped to the usable torque.
+
+        Raises:
+            ShapeError: A vector does not have n entries; nothing has changed.
+            OutOfRangeError: A number is not finite; nothing has changed.
+        """
+
     def step(
         self,
         q: ArrayLike,

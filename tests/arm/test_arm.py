@@ -549,14 +549,16 @@ def test_an_arm_is_resumed_with_the_commands_in_its_registers(io):
     assert io.goal == pytest.approx([0.2, np.nan, 0.1, 0.5, 0.6], nan_ok=True)
     assert io.limit == pytest.approx([1.0, 0.0, 0.0, 1.3, 1.4])
     assert io.orders == {"gripper": (pytest.approx(0.7), pytest.approx(1.5))}
-    assert not io.resume_silent()
+    assert io.resume_silent() is None
+    assert io.outdated().tolist() == [False, True, False, False, False]
     drive.silent = set()
     io.sample()
     drive.goals[0] = 9.0  # must not replace the goal of a joint that had answered
-    assert io.resume_silent()
+    assert io.resume_silent().tolist() == [False, True, False, False, False]
+    assert not io.outdated().any()
     assert not io.unknown_joints()
     assert (io.goal[:2], io.limit[:2]) == (pytest.approx([0.2, 0.3]), pytest.approx([1.0, 1.1]))
-    assert not io.resume_silent()
+    assert io.resume_silent() is None
 
 
 class Watching:

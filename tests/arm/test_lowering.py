@@ -374,6 +374,42 @@ def test_after_a_silence_no_goal_is_far_from_its_joint_whichever_joint_answers_f
         assert np.isinf(command.speed_limit[has_answered]).all()
 
 
+@pytest.mark.parametrize("rest", [None, [-0.4, 0.3, 0.0, -0.8, 0.0, 0.0, 0.0]])
+def test_a_joint_taken_over_after_a_silence_leaves_no_goal_far_from_its_joint(model, grasp, rest):
+    """A guardian whose line was dead while one servo had not answered yet."""
+    lead = model.gravity(grasp) / model.servos.kp
+    lowering = Lowering(model, model.servos, grasp, goal=grasp + lead, rest=rest)
+    for _ in range(200):
+        command = lowering.step(grasp, np.zeros(7, dtype=bool), dt=0.01)
+    goal, limit = command.goal.copy(), command.torque_limit.copy()
+    assert np.abs(goal - grasp - lead).max() > 0.05
+    goal[3], limit[3] = grasp[3] + lead[3] + 0.01, 1.0  # those in the servo that answers now
+    lowering.take_over(np.arange(7) == 3, grasp, goal, limit)
+    has_answered = np.ones(7, dtype=bool)
+    has_answered[0] = False
+    command = lowering.step(grasp, has_answered, dt=0.01)
+    assert np.abs(command.goal - grasp - lead)[has_answered].max() < 0.02
+    assert command.torque_limit[3] < 1.5
+    # The servo that is still silent may have the goal that was computed without positions.
+    assert command.speed_limit[0] <= 0.01
+    assert np.isinf(command.speed_limit[1:]).all()
+
+
+def test_a_joint_taken_over_has_finite_numbers_and_ends_the_ramp(model, grasp):
+    lowering, ones = Lowering(model, model.servos, grasp), np.ones(7)
+    for joints, values, error in (
+        (np.ones(6, dtype=bool), [ones] * 3, pliant.ShapeError),
+        (np.ones(7, dtype=bool), [ones, ones[:6], ones], pliant.ShapeError),
+        (np.ones(7, dtype=bool), [ones, ones, ones * np.nan], pliant.OutOfRangeError),
+    ):
+        with pytest.raises(error):
+            lowering.take_over(joints, *values)
+    while lowering.phase != "ramp":
+        command = lowering.step(grasp, dt=0.05)
+    lowering.take_over(np.arange(7) == 2, grasp, command.goal, command.torque_limit)
+    assert lowering.phase == "down"
+
+
 def test_a_joint_that_creeps_gets_little_torque(model, grasp):
     goal, limit = saturated(model, grasp)
     lowering = Lowering(model, model.servos, grasp, goal=goal, limit=limit)

@@ -128,8 +128,12 @@ def test_enabled_in_order_controlled_and_held(family):
 
 #: An FTDI adapter whose latency timer has its factory value.
 SLOW_ADAPTER = Timing(wire=True, usb_latency=0.016)
+#: An adapter whose latency timer has the recommended value.
+TIMED = Timing(wire=True, usb_latency=0.001)
 #: Poses in which the tool is 32 cm and 3 cm above the end of its descent [rad].
 HIGH, LOW = [0.0, 0.2, 0.0, 0.2, 0.0], [0.0, 1.5, 0.0, 0.0, 0.0]
+#: A pose with large torques of all joints that lift the arm [rad].
+STRETCHED = [0.1, 0.4, 0.2, 0.1, 0.0]
 
 
 def hold(arm, rate, pause=0.0):
@@ -415,6 +419,129 @@ def test_an_arm_taken_over_keeps_its_torque_while_servos_are_silent(answers, mon
             assert "and torque is not known in shoulder_lift." in caplog.text
             assert "was lowered" not in caplog.text
         copy.close()
+
+
+@pytest.mark.parametrize("family", ["sts", pytest.param("x", marks=pytest.mark.full)])
+def test_a_line_dead_for_a_time_makes_no_joint_of_an_arm_taken_over_jump(family, monkeypatch):
+    """One servo is silent from the start; all of them answer together after 2.5 s."""
+    monkeypatch.setattr("pliant.servo._enable.RESUME_TIME", 0.05)
+    # Ask the silent servo in each cycle, so that it answers in the same cycle as the others.
+    monkeypatch.setattr("pliant.servo._port.PROBE_CYCLES", 1)
+    rest = [0.0, -1.74, 1.57, 0.85, 0.0] if family == "sts" else None
+    with arm_over_bytes(family, HIGH, patience=0.01, timing=TIMED) as (bus, program):
+        program.enable()
+        copy = pickle.loads(pickle.dumps(program.drive.closed_copy()))
+        program.leave_enabled()
+        program.close()
+        copy.clock = clock = ManualClock(bus)
+        arm = Arm(program.model, copy, guardian=False, handle_signals=False, rest_q=rest)
+        line, begin, speeds, wait = bus.lines["main"], clock.now(), [], clock.wait_until
+        silent = 3 if family == "sts" else 5
+        for kind in ("deaf", "lose"):
+            bus.faults.inject(kind, id=silent, count=10**6)
+
+        def watch(deadline):
+            wait(deadline)
+            line.dead = 0.3 < clock.now() - begin < 2.8
+            if clock.now() - begin > 2.8:
+                bus.faults.clear()
+            speeds.append(np.linalg.norm(bus.plant.ground_truth.frame("tool").twist()[:3]))
+
+        monkeypatch.setattr(clock, "wait_until", watch)
+        arm._resume("the program has ended")
+        assert not any(servo.enabled for servo in bus.servos)
+        # 1.2 (so101) and 0.6 m/s (koch) if the descent starts again from the goals sent meanwhile.
+        assert max(speeds) < 0.15
+        copy.close()
+
+
+def test_a_descent_without_replies_that_is_aborted_does_not_lift_the_arm(monkeypatch):
+    """The servos hear the goals of the descent, and the program does not hear the servos."""
+    with arm_over_bytes("sts", HIGH, patience=0.01) as (bus, arm):
+        arm.enable()
+        begin, wait = arm.clock.now(), arm.clock.wait_until
+        bus.faults.by_chance(lose=1.0)
+
+        def watch(deadline):
+            wait(deadline)
+            if arm.clock.now() > begin + 3.0:
+                arm._supervisor.abort.set()
+
+        monkeypatch.setattr(arm.clock, "wait_until", watch)
+        start = bus.plant.tool[2, 3]
+        arm.lower()
+        low = bus.plant.tool[2, 3]
+        assert low < start - 0.04
+        bus.faults.clear()
+        wait(arm.clock.now() + 1.0)
+        # 56 mm and 0.3 m/s if the arm is held where its positions were last known.
+        assert bus.plant.tool[2, 3] < low + 0.005
+        arm.close()
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_an_error_before_torque_names_the_servo_that_keeps_a_torque_limit(family):
+    with arm_over_bytes(family, LOW, patience=0.01) as (bus, arm):
+        arm.open()
+        register = {"sts": "torque_limit", "x": "goal_pwm"}[family]
+        factory = bus.servo(3).get(register)
+
+        def watch(transaction):
+            if any(write.id == 3 and register in write.values for write in transaction.writes):
+                for kind in ("deaf", "lose"):
+                    bus.faults.inject(kind, id=3, count=10**6)
+
+        bus.log.watch = watch
+        with pytest.raises(pliant.ServoError, match=r"elbow_flex: torque limits and speeds are"):
+            arm.enable()
+        assert bus.servo(3).get(register) < factory
+        assert not any(servo.enabled for servo in bus.servos)
+        arm.close()
+
+
+def test_a_servo_that_hears_only_while_torque_comes_on_does_not_lift_the_arm():
+    """It gets limits, but no goals, and still has the large lead of the first goals.
+
+    With a slow adapter, it counts as silent before it gets the goals that hold the arm.
+    """
+    with arm_over_bytes("sts", STRETCHED, plant={}, timing=SLOW_ADAPTER) as (bus, arm):
+        heights = []
+
+        def watch(_):
+            if all(servo.enabled for servo in bus.servos):
+                if not heights:
+                    bus.faults.inject("lose", id=2, count=10**6, skip=20)
+                heights.append(bus.plant.tool[2, 3])
+
+        bus.world.watchers.append(watch)
+        with pytest.raises(pliant.ServoTimeoutError, match="no position of shoulder_lift"):
+            arm.enable()
+        # 19 mm if its limit rises.
+        assert max(heights) - heights[0] < 0.005
+        bus.faults.clear()
+        arm.close()
+
+
+@pytest.mark.parametrize("seconds", [0.3, 1.0])
+def test_a_line_dead_for_a_time_as_watchdogs_are_set(seconds, monkeypatch):
+    with arm_over_bytes("x", LOW, patience=0.01) as (bus, arm):
+        line, set_watchdog, since = bus.lines["main"], arm.drive.watchdog, None
+
+        def begin(value):
+            nonlocal since
+            since = arm.clock.now() if since is None else since
+            line.dead = arm.clock.now() < since + seconds
+            set_watchdog(value)
+
+        monkeypatch.setattr(arm.drive, "watchdog", begin)
+        if seconds < arm.comm_timeout:
+            arm.enable()
+        else:
+            with pytest.raises(pliant.ServoError, match="did not confirm the bus watchdog"):
+                arm.enable()
+        line.dead = False
+        assert arm.enabled
+        arm.close()
 
 
 @pytest.mark.parametrize(("counts", "is_told"), [(-1024, True), (0, False)])

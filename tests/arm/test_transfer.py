@@ -4,6 +4,8 @@ The joints have the friction, stops and encoders of a plant in this file, which 
 `python tests/arm/test_transfer.py` prints the rows again, after an intended change.
 """
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -62,6 +64,8 @@ class Pair:
         self.goal = self.q + np.where(self.taken, self.weight / self.kp, 0.0)
         self.limit = np.where(self.taken, 1.2, 0.0) * np.abs(self.weight)
         self.sent, self.ramped = [], None
+        self.joints = SimpleNamespace(chain=slice(None))
+        self.positions = SimpleNamespace(time=np.zeros(2))
 
     def measured(self):
         return np.round(self.x / self.step) * self.step
@@ -97,6 +101,7 @@ class Pair:
         self.readings += 1
         ok = np.array([True, self.readings not in self.silent])
         self.q = np.where(ok, self.measured(), self.q)
+        self.positions.time = np.where(ok, self.time, self.positions.time)
         return ok
 
     def send(self, goal, limit):

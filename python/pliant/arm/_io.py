@@ -348,6 +348,15 @@ class ArmIO:
             if i in self.joints.chain and (is_silent[i] or has_fault[i] or name in self._reported)
         ]
 
+    def outdated(self) -> Mask:
+        """Return the mask (n,) of the joints whose position is unknown or older than `SILENCE`.
+
+        The age is that at the last reading, however long a reading takes.
+        """
+        is_old = ~(self._last_update - self.positions.time <= SILENCE)
+        mask: Mask = (is_old | self.torque_unknown)[self.joints.chain]
+        return mask
+
     def delay(self, now: float) -> float:
         """Return the age of the newest position at time `now` [s], plus the drive's latency [s]."""
         sampled = float(self.positions.time[self.joints.chain].max())
@@ -452,28 +461,33 @@ class ArmIO:
         }
         return bool((has_torque | self.torque_unknown).any())
 
-    def resume_silent(self) -> bool:
+    def resume_silent(self) -> Mask | None:
         """Take over joints that did not answer in `resume`, and have answered in the last `sample`.
 
         Returns:
-            True if the torque of such a joint is known now. Its goal and limit are those in the
-            servo.
+            Mask (n,) of the joints of the chain whose torque is known now, or None if there is no
+            new joint, on the chain or off it. `goal` and `limit` of a joint with torque are those
+            in its servo, of a joint without torque its position and 0.
 
         Raises:
             ServoError: The connection to the drive is lost.
         """
         before = self.torque_unknown
         if not (before & self._sample.ok).any():
-            return False
+            return None
         goals, limits = self._reopen()
         found = before & ~self.torque_unknown
+        if not found.any():
+            return None
         has_torque = found & np.isfinite(goals)
-        self._goals = np.where(has_torque, goals, self._goals)
-        self._limits = np.where(has_torque, limits, self._limits)
+        goals = np.where(has_torque, goals, self.positions.position)
+        self._goals = np.where(found, goals, self._goals)
+        self._limits = np.where(found, np.where(has_torque, limits, 0.0), self._limits)
         for name, i in zip(self.joints.extra, self.joints.off_chain, strict=True):
             if has_torque[i]:
                 self.orders[name] = (float(goals[i]), float(limits[i]))
-        return bool(found.any())
+        is_new: Mask = found[self.joints.chain]
+        return is_new
 
     def unknown_joints(self) -> list[str]:
         """Return the names of the joints in `torque_unknown`."""

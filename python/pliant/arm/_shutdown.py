@@ -17,7 +17,7 @@ from pliant.arm._signals import name_of, signal_of
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from pliant._typing import Array
+    from pliant._typing import Array, Mask
     from pliant.arm._io import ArmIO
     from pliant.arm._messages import Message
 
@@ -238,8 +238,13 @@ class ExitMessages:
         return self._io.clock.now() - self._start_time
 
     def _height(self) -> float:
-        """Return the height of the tool above the base's origin [m]; NaN if unknown."""
+        """Return the height of the tool above the base's origin [m]; NaN if unknown.
+
+        It is unknown while a joint of the chain is silent.
+        """
         with contextlib.suppress(Exception):
+            if self._io.outdated().any():
+                return float("nan")
             model = self._io.model
             gravity = np.asarray(model.gravity_vector)
             up = -gravity / max(float(np.linalg.norm(gravity)), 1e-9)
@@ -282,6 +287,8 @@ def brief(error: BaseException) -> str:
 #: Factors by which the true stiffness of a servo may be larger or smaller than the assumed one, in
 #: `hold_position`.
 STIFFER, SOFTER = 2.5, 2.0
+#: Speed limit of a silent joint in `hold_position` [rad/s].
+CREEP_SPEED = 0.01
 #: Silence of the bus after which a descent ends with an error [s].
 MAX_SILENCE = 2.0
 #: Largest number of times that a descent is restarted because servos rejected its goals.
@@ -330,12 +337,6 @@ def descend(
     with contextlib.suppress(ServoError):
         io.set_watchdog(0.0)
     refused = 0
-
-    def resumed(lowering: Lowering, rest: Array | None) -> Lowering:
-        """Return a descent that starts from the present goals and limits."""
-        to = rest if lowering.phase == "rest" else None
-        return Lowering(model, io.servos, io.q, goal=io.goal, limit=io.limit, rest=to)
-
     lowering = Lowering(model, io.servos, io.q, goal=io.goal, limit=io.limit, rest=rest)
     before = deadline = heard = clock.now()
     while not is_aborted():
@@ -344,8 +345,8 @@ def descend(
         try:
             ok = io.sample()
             heard = now
-            if io.resume_silent():
-                lowering = resumed(lowering, rest)
+            if (found := io.resume_silent()) is not None:
+                lowering.take_over(found, io.q, io.goal, io.limit)
         except ServoError as error:
             if now - heard > MAX_SILENCE:
                 raise ServoError(
@@ -362,8 +363,8 @@ def descend(
         if is_on_way and lowering.phase != "rest" and (reason := _missed_pose(io, rest, lowering)):
             on_detour(reason)
         if lowering.phase == "ramp" and io.torque_unknown.any():
-            _wait_for_silent(io, rate, is_aborted)
-            lowering = resumed(lowering, rest)
+            if (found := _wait_for_silent(io, rate, is_aborted)) is not None:
+                lowering.take_over(found, io.q, io.goal, io.limit)
             before = deadline = heard = clock.now()
             continue
         if order is None and not io.is_refused():
@@ -402,8 +403,11 @@ def _missed_pose(io: ArmIO, rest: Array | None, lowering: Lowering) -> str | Non
     return f"the arm gets no closer to the rest pose, {name} is {away[joint]:.2f} rad away"
 
 
-def _wait_for_silent(io: ArmIO, rate: float, is_aborted: Callable[[], bool]) -> None:
+def _wait_for_silent(io: ArmIO, rate: float, is_aborted: Callable[[], bool]) -> Mask | None:
     """Wait until a joint whose torque is unknown has answered, and take it over; send nothing.
+
+    Returns:
+        Mask (n,) of the joints that have answered, see `ArmIO.resume_silent`; None after an abort.
 
     Raises:
         ServoFaultError: No such joint answered within `UNKNOWN_TIME`.
@@ -412,18 +416,23 @@ def _wait_for_silent(io: ArmIO, rate: float, is_aborted: Callable[[], bool]) -> 
     while io.clock.now() < end and not is_aborted():
         with contextlib.suppress(ServoError):
             io.sample()
-            if io.resume_silent():
-                return
+            if (found := io.resume_silent()) is not None:
+                return found
         io.clock.wait_until(io.clock.now() + 1.0 / rate)
     if not is_aborted():
         raise ServoFaultError(
             f"no answer from {', '.join(io.unknown_joints())}, which may hold the arm up: torque "
             "stays as it is"
         )
+    return None
 
 
 def hold_position(io: ArmIO) -> None:
-    """Send goals and torque limits that hold the present pose; disable the servos' watchdogs."""
+    """Send goals and torque limits that hold the present pose; disable the servos' watchdogs.
+
+    A joint that is silent keeps the goal and limit last sent: its position is unknown. Its servo
+    may have missed this goal, so it moves there at `CREEP_SPEED`.
+    """
     kp, gravity = np.asarray(io.servos.kp), io.gravity()
     push, need = torque_margin(io.servos, gravity), gravity / kp
     # Keep the present lead (goal minus position) if it can hold the weight at some stiffness.
@@ -434,5 +443,10 @@ def hold_position(io: ArmIO) -> None:
     # would move.
     full = (kp * np.abs(lead) > io.limit) & (io.limit >= np.abs(gravity))
     held = np.where(full, np.minimum(io.limit, limit), limit)
-    io.send(io.q + lead, held)
+    goal, old = io.q + lead, io.outdated()
+    if old.any():
+        goal, held = np.where(old, io.goal, goal), np.where(old, io.limit, held)
+        io.send(goal, held, np.where(old, CREEP_SPEED, np.inf))
+    else:
+        io.send(goal, held)
     io.set_watchdog(0.0)

@@ -89,6 +89,9 @@ RETURNED, MAX_TIME, RETURN_TIME = 1.5e-4, 5.0, 1.0
 #: Time without a position of a joint after which the arm gets goals and limits that hold it at
 #: rest, and time after which the weight transfer ends with an error [s].
 STALE, MAX_SILENCE = 0.03, 0.5
+#: Time without a position after which a servo may get its limit only while others answer [s]: a
+#: drive withholds the goals from a servo that may have restarted, see `Port.write`.
+NO_GOALS = 0.08
 #: Assumed time constant with which these goals brake the joints [s].
 BRAKE_TIME = 0.03
 
@@ -247,6 +250,12 @@ class _WeightTransfer:
         torque = np.clip(self._weight - self._inertia @ self._observer.d, *self._bounds)
         lead = np.where(np.isfinite(self._found), self._found, torque / self._kp)
         limit = np.minimum(SUPPORT * np.abs(torque) + 2.0 * self._friction, self._usable)
+        # A higher limit would lift a joint whose servo got no goal of this method: it still has the
+        # large lead of the balance.
+        now, times = io.clock.now(), io.positions.time[io.joints.chain]
+        is_silent = (now - times > NO_GOALS) & (times.max() - times > STALE)
+        kept = np.minimum(limit, np.maximum(io.limit, np.abs(torque)))
+        limit = np.where(is_silent, kept, limit)
         io.send(np.where(taken, io.goal, io.q + lead), np.where(taken, io.limit, limit))
         # Pass the braking to the observer, which would otherwise assume the torques of the balance.
         now = io.clock.now()

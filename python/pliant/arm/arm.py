@@ -245,8 +245,25 @@ class Arm:
         mismatch = supply_sag(io) or stiffness_mismatch(io, self.leads, is_supported=is_supported)
         for text in filter(None, (displacement(io, start_q), mismatch)):
             MESSAGES.post(text, logging.WARNING)
-        io.set_watchdog(self._watchdog)
+        self._set_watchdog()
         self._supervisor.heartbeat[1] = 0.0
+
+    def _set_watchdog(self) -> None:
+        """Set the servos' watchdog; a silence of the line shorter than `comm_timeout` is no error.
+
+        Raises:
+            ServoError: A servo did not confirm the new watchdog time.
+        """
+        end = self.clock.now() + self.comm_timeout
+        while True:
+            try:
+                self._io.set_watchdog(self._watchdog)
+            except ServoError:
+                if self.clock.now() >= end:
+                    raise
+                self.clock.wait_until(self.clock.now() + 1.0 / self.rate)
+            else:
+                return
 
     def lower(self) -> None:
         """Move to the rest pose if set, descend at 0.15 m/s until the arm rests, switch torque off.

@@ -91,8 +91,10 @@ def enable(
         commands[id(device)] = FirstCommand(*row)
         leads[id(device)] = leading - row[0]
     is_sent = False
+    changed: list[Device] = []
     try:
         for device in devices:
+            changed.append(device)
             if _has_tripped(device, images):
                 _set(device, ports, "watchdog", 0)
             _write_limits(device, ports, commands[id(device)].limit)
@@ -143,18 +145,21 @@ def enable(
                 device.enabled = device.torque_on = True
             raise
         failures = [text for device in switched if (text := _try_off(device, ports))]
-        if not (switched and is_sent and isinstance(error, ServoError)):
+        if not (switched and isinstance(error, ServoError)):
             raise
-        if failures:
-            state = f"{MAY_BE_ON}{'; '.join(failures)}\nsupport the arm and cut the supply"
-        else:
+        lines = [str(error)]
+        if is_sent and failures:
+            lines.append(f"{MAY_BE_ON}{'; '.join(failures)}\nsupport the arm and cut the supply")
+        elif is_sent:
             names = ", ".join(device.name for device in switched)
             where = "all joints" if len(switched) == len(devices) else names
-            state = f"torque is OFF again in {where}: what it carried falls"
-        unrestored = [device.name for device in switched if device.is_unrestored]
+            lines.append(f"torque is OFF again in {where}: what it carried falls")
+        unrestored = [d.name for d in changed if d in switched and d.is_unrestored]
         if unrestored:
-            state += f"\n{', '.join(unrestored)}: {KEPT}"
-        raise ServoError(f"{error}\n{state}") from error
+            lines.append(f"{', '.join(unrestored)}: {KEPT}")
+        if len(lines) == 1:
+            raise
+        raise ServoError("\n".join(lines)) from error
     for device in devices:
         device.enabled = device.torque_on = True
 

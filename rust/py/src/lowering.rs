@@ -11,7 +11,7 @@ use crate::arguments;
 use crate::command::{Command, Pool};
 use crate::error::{OrRaise, shape};
 use crate::ndarray::new_array;
-use crate::read::compact::{array_into, joints};
+use crate::read::compact::{array_into, joints as vector};
 
 #[doc = stub!(Lowering)]
 #[pyclass(module = "pliant.arm")]
@@ -38,8 +38,8 @@ impl Lowering {
         let (model, servos) = (arguments::model(model)?, arguments::servos(servos)?);
         let (model, servos) = (&model.get().core, &servos.get().0);
         let n = model.n();
-        let read = |name: &str, value: Option<&Bound<'_, PyAny>>| value.map(|value| joints(name, value, n)).transpose();
-        let (q, goal) = (joints("q", q, n)?, read("goal", goal)?);
+        let read = |name: &str, value: Option<&Bound<'_, PyAny>>| value.map(|value| vector(name, value, n)).transpose();
+        let (q, goal) = (vector("q", q, n)?, read("goal", goal)?);
         let (limit, rest) = (read("limit", limit)?, read("rest", rest)?);
         let servos = servos.for_joints(n).or_raise()?;
         let points = Arc::new(ArmPoints::new(model, &servos.armature).or_raise()?);
@@ -76,6 +76,21 @@ impl Lowering {
         self.core.skip_rest();
     }
 
+    #[doc = stub!(Lowering.take_over)]
+    #[pyo3(signature = (joints, q, goal, limit))]
+    fn take_over(
+        &mut self,
+        joints: &Bound<'_, PyAny>,
+        q: &Bound<'_, PyAny>,
+        goal: &Bound<'_, PyAny>,
+        limit: &Bound<'_, PyAny>,
+    ) -> PyResult<()> {
+        let n = self.n;
+        let taken = mask("joints", joints, n)?;
+        let (q, goal, limit) = (vector("q", q, n)?, vector("goal", goal, n)?, vector("limit", limit, n)?);
+        self.core.take_over(&taken, &q[..n], &goal[..n], &limit[..n]).or_raise()
+    }
+
     #[doc = stub!(Lowering.step)]
     #[pyo3(signature = (q, ok=None, *, dt, age=0.0))]
     fn step(
@@ -88,7 +103,7 @@ impl Lowering {
         // NaN is accepted: the core treats such a position as lost.
         let mut positions = [0.0; MAX_JOINTS];
         array_into("q", q, &[self.n], &mut positions[..self.n])?;
-        let fresh = ok.map_or_else(|| Ok(vec![true; self.n]), |ok| mask(ok, self.n))?;
+        let fresh = ok.map_or_else(|| Ok(vec![true; self.n]), |ok| mask("ok", ok, self.n))?;
         match self.core.step(&positions[..self.n], &fresh, dt, age).or_raise()? {
             Some(command) => self.pool.take(q.py(), &command).map(Some),
             None => Ok(None),
@@ -96,10 +111,10 @@ impl Lowering {
     }
 }
 
-/// Reads the argument `ok`, an iterable of `n` booleans.
-fn mask(value: &Bound<'_, PyAny>, n: usize) -> PyResult<Vec<bool>> {
+/// Reads the argument `name`, an iterable of `n` booleans.
+fn mask(name: &str, value: &Bound<'_, PyAny>, n: usize) -> PyResult<Vec<bool>> {
     let flags = value.try_iter()?.map(|flag| flag?.is_truthy()).collect::<PyResult<Vec<_>>>()?;
-    if flags.len() == n { Ok(flags) } else { Err(shape("ok", &[flags.len()], format!("({n},)"))) }
+    if flags.len() == n { Ok(flags) } else { Err(shape(name, &[flags.len()], format!("({n},)"))) }
 }
 
 #[doc = stub!(torque_margin)]
@@ -110,6 +125,6 @@ pub(crate) fn torque_margin<'py>(
 ) -> PyResult<Bound<'py, PyAny>> {
     let servos = arguments::servos(servos)?;
     let n = servos.get().0.kp.len();
-    let margin = core_torque_margin(&servos.get().0, &joints("gravity", gravity, n)?[..n]);
+    let margin = core_torque_margin(&servos.get().0, &vector("gravity", gravity, n)?[..n]);
     Ok(new_array(gravity.py(), &[n], &margin))
 }

@@ -435,6 +435,50 @@ impl Lowering {
         }
     }
 
+    /// Takes over the marked `joints`, whose servos had not answered before: `q` are their positions [rad], `goal` [rad]
+    /// and `torque_limit` [N·m] those in their servos. Other entries are ignored. The present phase begins again, or
+    /// [`LoweringPhase::Down`] where limits were falling.
+    ///
+    /// The other joints keep the state of this descent: after a time without positions, their goals may be far from
+    /// where the arm is, until [`Self::step`] has their positions.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] if a vector does not have n entries; [`Error::OutOfRange`] for a number that is not finite. The
+    /// state is then unchanged.
+    pub fn take_over(&mut self, joints: &[bool], q: &[f64], goal: &[f64], torque_limit: &[f64]) -> Result<()> {
+        if joints.len() != self.n {
+            return Err(Error::length("joints", joints.len(), self.n));
+        }
+        let q = finite_joint_vector("q", self.n, q)?;
+        let goal = finite_joint_vector("goal", self.n, goal)?;
+        let torque_limit = finite_joint_vector("limit", self.n, torque_limit)?;
+        for i in (0..self.n).filter(|i| joints[*i]) {
+            self.q[i] = q[i];
+            self.goal[i] = goal[i];
+            self.torque_limit[i] = torque_limit[i].clamp(0.0, self.max_torque[i]);
+            self.holding_torque[i] = f64::INFINITY;
+            (self.silence[i], self.behind[i], self.extra_push[i]) = (0.0, false, 0.0);
+        }
+        let phase = if self.phase == LoweringPhase::Rest { LoweringPhase::Rest } else { LoweringPhase::Down };
+        let gravity = self.gravity();
+        for i in (0..self.n).filter(|i| joints[*i]) {
+            let lead = self.goal[i] - self.q[i];
+            (self.lead[i], self.free_lead[i]) = (lead, lead);
+            (self.lead_size[i], self.least_lead[i]) = (lead.abs(), lead.abs());
+            self.unmodelled_lead[i] = lead - gravity[i] / self.kp[i];
+            let is_saturated = self.kp[i] * lead.abs() > self.torque_limit[i];
+            self.saturated_at[i] = (phase == LoweringPhase::Rest && is_saturated).then_some(self.q[i]);
+            self.rest_start[i] = self.q[i];
+        }
+        self.positions.restart(self.time, &self.q);
+        self.goals.restart(self.time, &self.goal);
+        (self.nearest, self.least_left) = (f64::INFINITY, 1.0);
+        (self.compared, self.has_stopped) = ((self.time, self.q), false);
+        self.presses = true;
+        self.enter(phase);
+        Ok(())
+    }
+
     /// Computes goals, torque limits and speed limits of one tick; `None` if torque can be switched off.
     ///
     /// `q` are the last positions of the n joints [rad], `fresh` marks those that are new; NaN and |q| > 10⁶ rad count
@@ -938,6 +982,9 @@ impl Lowering {
                 self.goal[i] = self.q[i] + gravity[i] / self.kp[i] + self.unmodelled_lead[i];
             }
         }
+        // The servos may not have received the goals of the time without positions, and the arm may not have moved.
+        self.goals.restart(self.time, &self.goal);
+        (self.nearest, self.standstill, self.least_left) = (f64::INFINITY, 0.0, 1.0);
     }
 }
 
