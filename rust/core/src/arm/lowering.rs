@@ -984,6 +984,11 @@ impl Lowering {
         }
         // The servos may not have received the goals of the time without positions, and the arm may not have moved.
         self.goals.restart(self.time, &self.goal);
+        // A height from positions of the model may be one that the tool never had.
+        if !self.behind.contains(&true) {
+            let height = self.points.evaluate(&self.q).tool_height(&self.up);
+            self.start_height = self.start_height.min(height);
+        }
         (self.nearest, self.standstill, self.least_left) = (f64::INFINITY, 0.0, 1.0);
     }
 }
