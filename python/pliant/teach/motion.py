@@ -305,10 +305,10 @@ class Motion:
             data: Any = json.loads(read_text(path, LARGE))
             if data["format"] != FORMAT:
                 raise ConfigError(f"format is {data['format']!r}, this pliant reads {FORMAT!r}")
-            for key in ("joints", "extra"):
-                if not (isinstance(data[key], list) and all(isinstance(x, str) for x in data[key])):
+            samples, joints, names = data["samples"], data["joints"], data["extra"]
+            for key, value in (("joints", joints), ("extra", names)):
+                if not (isinstance(value, list) and all(isinstance(name, str) for name in value)):
                     raise ConfigError(f"{key} must be a list of names in quotes")
-            samples, joints, names = data["samples"], tuple(data["joints"]), data["extra"]
             n = len(joints)
             width = 1 + n + len(names)
             for i, sample in enumerate(samples, 1):
@@ -323,7 +323,7 @@ class Motion:
             if start is not None:
                 x, y, z = map(float, start)
                 start = x, y, z
-            return cls(joints, rows[:, 0], rows[:, 1 : 1 + n], extra, note, start)
+            return cls(tuple(joints), rows[:, 0], rows[:, 1 : 1 + n], extra, note, start)
         except ConfigError as error:
             raise ConfigError(f"{path}: {error}") from error
         except KeyError as error:
