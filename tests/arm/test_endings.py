@@ -595,9 +595,10 @@ class Descent:
         sent: Time and speed limit of each order.
         answers: Number of `sample` calls after which a silent joint has answered, None: never.
         unfit: Number of `sample` calls after which a joint may not follow its goals, None: never.
+        silent_joint: True if the position of a joint is outdated.
     """
 
-    phase, answers, unfit = "down", None, None
+    phase, answers, unfit, silent_joint = "down", None, None, False
 
     def __init__(self, monkeypatch, *, orders=10, is_silent=False, is_refused=False, stall=0.0):
         self.time, self.made, self.sent, self.calls, self.samples = 100.0, [], [], [], 0
@@ -663,6 +664,9 @@ class Descent:
     def is_refused(self):
         return self.refused
 
+    def outdated(self):
+        return np.array([self.silent_joint, False])
+
     def set_watchdog(self, seconds):
         self.calls.append(seconds)
         raise pliant.ServoError("a lost reply")
@@ -709,6 +713,14 @@ def test_a_descent_whose_goals_are_rejected_starts_again_a_few_times(monkeypatch
     assert len(run.made) == 1 + _shutdown.MAX_RESTARTS
     assert len(run.sent) == 10 * len(run.made)
     assert [made["rest"] for made in run.made] == ["rest"] * 3
+
+
+def test_a_descent_whose_goals_are_rejected_does_not_start_again_from_an_old_position(monkeypatch):
+    run = Descent(monkeypatch, is_refused=True)
+    run.silent_joint = True
+    with pytest.raises(pliant.ServoFaultError, match="do not take the goals"):
+        descend(run, "rest", 100.0, lambda: False)
+    assert len(run.made) == 1
 
 
 @pytest.mark.parametrize("phase", ["rest", "down"])

@@ -790,3 +790,17 @@ def test_chance_faults_never_give_a_stale_sample(emulated, enabled):
             assert error.size == 0 or error.max() < 0.003
         assert replies > 0.98 * 150 * 6
         assert servo_bus.counters["retries"] > 5
+
+
+@pytest.mark.parametrize("kind", PROTOCOLS)
+@pytest.mark.parametrize("skip", [0, 1])
+def test_a_short_silence_of_a_servo_neither_leaves_torque_on_nor_registers_changed(
+    emulated, enabled, kind, skip
+):
+    """The requests to switch torque off are lost, or those that restore the registers."""
+    with emulated(kind, 3, clock="steps") as (bus, servo_bus):
+        enabled(servo_bus)
+        bus.faults.inject("deaf", 2, count=6, skip=skip)
+        servo_bus.disable()
+        assert not any(servo.enabled for servo in bus.servos)
+        assert not servo_bus.unrestored.any()

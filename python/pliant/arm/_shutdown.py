@@ -291,7 +291,8 @@ STIFFER, SOFTER = 2.5, 2.0
 CREEP_SPEED = 0.01
 #: Silence of the bus after which a descent ends with an error [s].
 MAX_SILENCE = 2.0
-#: Largest number of times that a descent is restarted because servos rejected its goals.
+#: Largest number of times that a descent is restarted because servos rejected its goals; it is not
+#: restarted while a joint is silent.
 MAX_RESTARTS = 2
 #: Time for which an arm at rest waits for joints whose torque is unknown, before torque off [s].
 UNKNOWN_TIME = 20.0
@@ -328,8 +329,8 @@ def descend(
 
     Raises:
         ServoError: The bus is gone; torque stays on.
-        ServoFaultError: Servos reject goals, or the torque of a joint stays unknown; torque stays
-            on.
+        ServoFaultError: Servos reject goals, or rejected them before joints became silent, or the
+            torque of a joint stays unknown; torque stays on.
     """
     clock, model = io.clock, io.model
     period = 1.0 / max(rate, MIN_RATE)
@@ -371,7 +372,8 @@ def descend(
             return True
         if order is None:
             refused += 1
-            if refused > MAX_RESTARTS:
+            # Do not start again from an old position: the arm may be lower, and would rise to it.
+            if refused > MAX_RESTARTS or io.outdated().any():
                 raise ServoFaultError(
                     "servos do not take the goals that lower the arm, and torque stays on: support "
                     "the arm, then cut the supply"

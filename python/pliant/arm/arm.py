@@ -459,9 +459,10 @@ class Arm:
                 down=down,
                 has_guardian=self._guardian is not None,
             )
+            if down and self._guardian is None:  # a guardian restores them
+                self._report_unrestored(messages)
             raise
-        if unrestored := self._joints_where("unrestored", False):
-            messages.unrestored(unrestored)
+        self._report_unrestored(messages)
         self._is_unfinished = False
         if down:
             has_signal = self._signals is not None and self._signals.has_pending
@@ -470,6 +471,13 @@ class Arm:
             self._hold()
             self._is_left_on = True
             self._exit_message = messages.left_enabled(stopped=True)
+
+    def _report_unrestored(self, messages: ExitMessages) -> None:
+        """Name the joints whose torque is off, and that keep torque limits of this program."""
+        unknown = self._joints_where("torque_unknown", False)
+        unrestored = self._joints_where("unrestored", False)
+        if names := [name for name in unrestored if name not in unknown]:
+            messages.unrestored(names)
 
     def _hold(self) -> None:
         """Send goals and torque limits that hold the present pose; ignore all errors."""

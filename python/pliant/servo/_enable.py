@@ -439,15 +439,16 @@ def disable(devices: Sequence[Device], ports: Ports) -> None:
     Raises:
         ServoError: Servos did not confirm; the message names them. The other servos are off.
     """
-    failed = {}
+    failed = {id(device) for device in devices if _try_off(device, ports)}
+    # Try again: the line may have been dead for a moment only.
+    problems = []
     for device in devices:
-        problem = _try_off(device, ports)
-        if problem:
-            failed[id(device)] = (device, problem)
-    for device, _ in failed.values():
-        _send_off_blindly(device, ports)
-    if failed:
-        problems = (problem for _, problem in failed.values())
+        if id(device) in failed:
+            if problem := _try_off(device, ports):
+                problems.append(problem)
+        elif device.is_unrestored:
+            _try_restore(device, ports)
+    if problems:
         raise ServoError(MAY_BE_ON + "; ".join(problems))
 
 
@@ -492,10 +493,18 @@ def _try_off(device: Device, ports: Ports) -> str | None:
     except ServoError as error:
         return f"{error}{_send_off_blindly(device, ports)}"
     device.torque_on = device.torque_unknown = False
+    _try_restore(device, ports)
+    return None
+
+
+def _try_restore(device: Device, ports: Ports) -> None:
+    """Restore the RAM registers of a servo whose torque is off; `is_unrestored` tells if it failed.
+
+    Errors are ignored.
+    """
     with suppress(ServoError):
         _restore_registers(device, ports)
         device.is_unrestored = False
-    return None
 
 
 def _send_off_blindly(device: Device, ports: Ports) -> str:

@@ -727,11 +727,13 @@ impl Lowering {
         let mut rise = here.tool_rise(&self.up);
         for i in 0..self.n {
             // A joint that presses on an object does not lift the tool when it presses less.
-            if presses[i] && u[i] * gravity[i] > 0.0 {
+            if !self.blind && presses[i] && u[i] * gravity[i] > 0.0 {
                 rise[i] = 0.0;
             }
         }
-        let max_climb = (RISE_RATE * (self.start_height - here.tool_height(&self.up))).max(0.0);
+        // The depth of the tool in the model may be one that an object keeps it from.
+        let depth = if self.blind { 0.0 } else { self.start_height - here.tool_height(&self.up) };
+        let max_climb = (RISE_RATE * depth).max(0.0);
         let climb = dot(&rise, u) - max_climb;
         if climb <= 0.0 {
             return;
