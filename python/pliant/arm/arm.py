@@ -135,8 +135,8 @@ class Arm:
         self._signals = Signals(self._supervisor.abort.set) if handle_signals else None
         self._has_guardian = instance(guardian, bool, "guardian") and is_available(drive)
         self._guardian: Guardian | None = None
-        #: True from the beginning of a descent until torque is off or was left on deliberately.
-        #: If a descent fails, it stays True, and the guardian takes the arm over.
+        #: True from the beginning of a descent or of torque off until torque is off or was left on
+        #: deliberately. If one of them fails, it stays True, and the guardian takes the arm over.
         self._is_unfinished = False
         #: True while torque is on without control, at the user's request.
         self._is_left_on = False
@@ -294,10 +294,13 @@ class Arm:
     def disable_torque(self) -> None:
         """Switch torque off in the present pose: the arm falls.
 
+        After an error or an interruption, the guardian lowers the arm as after a failed descent.
+
         Raises:
-            ServoError: Torque of a joint stayed on; the others are off.
+            ServoError: Torque of a joint stayed on, or servos do not answer; the others are off.
         """
         with self._supervisor.exclusive(at_once=True):
+            self._is_unfinished |= self.enabled
             try:
                 self.drive.disable(self._io.joints.names)
                 self._is_unfinished = self._is_left_on = False
@@ -356,8 +359,8 @@ class Arm:
             if self._is_unfinished:
                 guardian = ", arm.close() leaves it to its guardian" if self._guardian else ""
                 raise ServoError(
-                    "the last descent failed, torque may be ON: arm.enable() takes the arm over"
-                    f"{guardian}"
+                    "the last descent or torque off failed, torque may be ON: arm.enable() takes "
+                    f"the arm over{guardian}"
                 )
             if self._is_left_on:
                 raise ServoError(
