@@ -14,7 +14,14 @@ import numpy as np
 
 from pliant._core import ArmPoints, ConfigError, ServoError, ServoFaultError
 from pliant._validation import instance, real
-from pliant.arm._checks import TORQUE_OFF, check_rest, path_obstacle, posture, times
+from pliant.arm._checks import (
+    TORQUE_OFF,
+    check_rest,
+    path_obstacle,
+    posture,
+    table_height,
+    times,
+)
 from pliant.arm._guardian import Guardian, beat_all, is_available
 from pliant.arm._io import ArmIO
 from pliant.arm._messages import MESSAGES
@@ -144,7 +151,7 @@ class Arm:
         #: Threads that `close` waits for once torque is off.
         self._unfinished_threads: list[Thread] = []
         self._build()
-        self.table = None if table is None else real(table, "table [m]")
+        self.table = None if table is None else table_height(table)
         self.detour: str | None = None
         self.rest_q = None if rest_q is None else posture(self.model, rest_q, "rest_q")
         if self.rest_q is not None:
