@@ -293,7 +293,8 @@ class Loop:
             payload, gravity, base and tip may differ). The rate is below 1 Hz, or its period is
             not a multiple of a simulated arm's period; or a time is negative or not a number; or
             the priority is out of range. While iterating: the system does not permit the priority,
-            or another loop over the arm has begun.
+            another loop over the arm has begun, or the controller steps another arm in a loop that
+            has not ended.
         ServoTimeoutError: While looping: positions or commands are missing, or the program stalled.
         ServoFaultError: While looping: a servo reports a fault, or is too hot.
 
@@ -362,8 +363,30 @@ class Loop:
         self._delays: list[float] = []
         self._recorder = recorder
         self.controller: Any = controller
+        # `controller` may become a wrapper of it, with the recorder.
+        self._stepped = controller
         if recorder is not None:
             self.controller = recorder.start(arm, controller, rate)
+
+    @contextmanager
+    def _exclusive_controller(self) -> Iterator[None]:
+        """Return a context in which no loop over another arm may step the controller.
+
+        It has the state of one arm: with another arm's positions, it would command large jumps.
+        """
+        key = id(self._stepped)
+        other = None if self._stepped is None else _LOOPS.get(key)
+        if other is not None and other._arm is not self._arm and other._arm.enabled:
+            raise ConfigError(
+                "this controller steps another arm in a loop that has not ended, and has the state "
+                "of that arm: make a Controller for each arm"
+            )
+        _LOOPS[key] = self
+        try:
+            yield
+        finally:
+            if _LOOPS.get(key) is self:
+                del _LOOPS[key]
 
     @contextmanager
     def _supervised(self) -> Iterator[Callable[[], None]]:
@@ -418,7 +441,7 @@ class Loop:
         arm, clock, shortest = self._arm, self._arm.clock, 0.1 * self.period
         last: float | None = None
         first: float | None = None
-        with self._supervised() as check:
+        with self._exclusive_controller(), self._supervised() as check:
             begin = deadline = clock.now()
             commanded, before, index = begin, begin, 0
             while self.duration is None or deadline - begin < self.duration - 1e-9:
@@ -583,6 +606,10 @@ class Loop:
             tell = getattr(self.controller, "set_delay", None)
             if tell is not None:
                 tell(self.delay)
+
+
+#: Loops that iterate, by the id of their controller.
+_LOOPS: dict[int, Loop] = {}
 
 
 def _divides(grain: float, period: float) -> bool:
