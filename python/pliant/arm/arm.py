@@ -166,7 +166,9 @@ class Arm:
         # Replace the servo parameters of the model, which may differ from those of the drive.
         self.model = self.model.with_servos(self.servos)
         self._points = ArmPoints(self.model, self.servos.armature)
-        self.grippers = make_grippers(self._io, self._gripper_configs, self._send_gripper)
+        self.grippers = make_grippers(
+            self._io, self._gripper_configs, self._send_gripper, self._gripper_position
+        )
 
     @property
     def enabled(self) -> bool:
@@ -740,6 +742,11 @@ class Arm:
             self._check_enabled()
             self._io.orders[name] = (goal, limit)
             self._io.send(self._io.goal, self._io.limit)
+
+    def _gripper_position(self, name: str) -> float:
+        """Return the last measured position [rad] of a joint off the chain."""
+        io = self._io
+        return float(io.positions.position[io.joints.index(name)])
 
     def _check_enabled(self) -> None:
         """Raise an error if torque is off; the caller has entered the supervisor's context."""
