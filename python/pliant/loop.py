@@ -50,6 +50,8 @@ LOWEST = 1.0
 #: The delay is the median over `AVERAGE` commands. The controller gets a new median if it differs
 #: from the last one by more than `CHANGE` [s] and `CHANGE_SHARE` [1].
 AVERAGE, CHANGE, CHANGE_SHARE = 50, 5e-4, 0.1
+#: Largest delay that the settings of a controller accept [s].
+MAX_DELAY = 0.5
 
 
 #: Logarithmic bins of the lateness histogram: lower end of the first bin [s], number of bins per
@@ -597,6 +599,9 @@ class Loop:
         """Store the median delay of the last 50 commands, plus the drive's latency.
 
         The controller gets it if it differs enough from the value set before.
+
+        Raises:
+            ServoError: A controller cannot account for this delay.
         """
         self.delay = float(np.median(self._delays)) + getattr(self._arm.drive, "latency", 0.0)
         self._delays.clear()
@@ -605,6 +610,12 @@ class Loop:
             self._reported_delay = self.delay
             tell = getattr(self.controller, "set_delay", None)
             if tell is not None:
+                if not 0.0 <= self.delay <= MAX_DELAY:
+                    raise ServoError(
+                        f"positions are {self.delay:.3g} s old when the goals made from them are "
+                        f"used, where 0 to {MAX_DELAY:g} s are possible: reading the arm takes too "
+                        "long, or its drive returns old readings or readings with a wrong time"
+                    )
                 tell(self.delay)
 
 

@@ -90,3 +90,20 @@ def test_a_status_of_an_unknown_joint_is_named(arm):
         arm.write(arm.read().q)
     arm.drive.status = None
     arm.disable_torque()
+
+
+@pytest.mark.parametrize("is_stale", [True, False])
+def test_readings_with_a_wrong_time_are_named(arm, is_stale):
+    read, kept = arm.drive.read, arm.drive.read()
+    arm.drive.read = lambda: kept if is_stale else (r := read()).replace(time=r.time + 100.0)
+    controller = pliant.Controller(arm.model, pliant.Settings.soft("x", task="xyz"), arm.servos)
+    target = arm.model.forward_kinematics(arm.read().q)
+
+    def run():
+        for tick in pliant.Loop(arm, controller):
+            tick.step(target)
+
+    with pytest.raises(pliant.ServoError, match=r"s old .*readings with a wrong time"):
+        run()
+    arm.drive.read = read
+    arm.disable_torque()
