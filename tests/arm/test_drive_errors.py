@@ -107,3 +107,29 @@ def test_readings_with_a_wrong_time_are_named(arm, is_stale):
         run()
     arm.drive.read = read
     arm.disable_torque()
+
+
+@pytest.mark.parametrize("is_left_on", [True, False])
+def test_an_arm_that_cannot_be_taken_over_keeps_its_owner(arm, monkeypatch, is_left_on):
+    error = pliant.ServoError("not confirmed")
+    if is_left_on:
+        arm.leave_enabled()
+    else:
+        arm.drive.errors = {"write": error}
+        with pytest.raises(pliant.ServoError, match="the bus is gone"):
+            arm.lower()
+        arm.drive.errors = {}
+
+    def fail(goal, limit):
+        raise error
+
+    with monkeypatch.context() as patch:
+        patch.setattr(arm.drive, "enable", fail)
+        with pytest.raises(pliant.ServoError, match="not confirmed"):
+            arm.enable()
+    with pytest.raises(pliant.ServoError, match=r"left ON" if is_left_on else r"may be ON"):
+        arm.lower()
+    start = height(arm)
+    arm.enable()
+    arm.lower()
+    assert height(arm) < start - 0.2

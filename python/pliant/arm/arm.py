@@ -227,6 +227,7 @@ class Arm:
         MESSAGES.start()
         if warning is not None:
             MESSAGES.post(warning, logging.WARNING)
+        former = self._is_unfinished, self._is_left_on
         try:
             if self._signals is not None:
                 self._signals.install()
@@ -240,12 +241,15 @@ class Arm:
             self._supervisor.owner = os.getpid()
             io.start(start, limit, lead)
         except ServoError:
+            # Joints that had torque before keep it: the guardian, or the user, still owns them.
+            self._is_unfinished, self._is_left_on = former
             self._release()
             raise
         except BaseException:
             # A signal came before torque on, so no descent will follow that removes the signal
             # handlers.
             if not self.enabled:
+                self._is_unfinished, self._is_left_on = former
                 self._release()
             raise
         self.leads = transfer_weight(io, self._points, start_q, carried, self.rate)
