@@ -50,6 +50,8 @@ LOWEST = 1.0
 #: The delay is the median over `AVERAGE` commands. The controller gets a new median if it differs
 #: from the last one by more than `CHANGE` [s] and `CHANGE_SHARE` [1].
 AVERAGE, CHANGE, CHANGE_SHARE = 50, 5e-4, 0.1
+#: Largest delay that the settings of a controller accept [s].
+MAX_DELAY = 0.5
 
 
 #: Logarithmic bins of the lateness histogram: lower end of the first bin [s], number of bins per
@@ -293,7 +295,8 @@ class Loop:
             payload, gravity, base and tip may differ). The rate is below 1 Hz, or its period is
             not a multiple of a simulated arm's period; or a time is negative or not a number; or
             the priority is out of range. While iterating: the system does not permit the priority,
-            or another loop over the arm has begun.
+            another loop over the arm has begun, or the controller steps another arm in a loop that
+            has not ended.
         ServoTimeoutError: While looping: positions or commands are missing, or the program stalled.
         ServoFaultError: While looping: a servo reports a fault, or is too hot.
 
@@ -362,8 +365,30 @@ class Loop:
         self._delays: list[float] = []
         self._recorder = recorder
         self.controller: Any = controller
+        # `controller` may become a wrapper of it, with the recorder.
+        self._stepped = controller
         if recorder is not None:
             self.controller = recorder.start(arm, controller, rate)
+
+    @contextmanager
+    def _exclusive_controller(self) -> Iterator[None]:
+        """Return a context in which no loop over another arm may step the controller.
+
+        It has the state of one arm: with another arm's positions, it would command large jumps.
+        """
+        key = id(self._stepped)
+        other = None if self._stepped is None else _LOOPS.get(key)
+        if other is not None and other._arm is not self._arm and other._arm.enabled:
+            raise ConfigError(
+                "this controller steps another arm in a loop that has not ended, and has the state "
+                "of that arm: make a Controller for each arm"
+            )
+        _LOOPS[key] = self
+        try:
+            yield
+        finally:
+            if _LOOPS.get(key) is self:
+                del _LOOPS[key]
 
     @contextmanager
     def _supervised(self) -> Iterator[Callable[[], None]]:
@@ -418,7 +443,7 @@ class Loop:
         arm, clock, shortest = self._arm, self._arm.clock, 0.1 * self.period
         last: float | None = None
         first: float | None = None
-        with self._supervised() as check:
+        with self._exclusive_controller(), self._supervised() as check:
             begin = deadline = clock.now()
             commanded, before, index = begin, begin, 0
             while self.duration is None or deadline - begin < self.duration - 1e-9:
@@ -574,6 +599,9 @@ class Loop:
         """Store the median delay of the last 50 commands, plus the drive's latency.
 
         The controller gets it if it differs enough from the value set before.
+
+        Raises:
+            ServoError: A controller cannot account for this delay.
         """
         self.delay = float(np.median(self._delays)) + getattr(self._arm.drive, "latency", 0.0)
         self._delays.clear()
@@ -582,7 +610,17 @@ class Loop:
             self._reported_delay = self.delay
             tell = getattr(self.controller, "set_delay", None)
             if tell is not None:
+                if not 0.0 <= self.delay <= MAX_DELAY:
+                    raise ServoError(
+                        f"positions are {self.delay:.3g} s old when the goals made from them are "
+                        f"used, where 0 to {MAX_DELAY:g} s are possible: reading the arm takes too "
+                        "long, or its drive returns old readings or readings with a wrong time"
+                    )
                 tell(self.delay)
+
+
+#: Loops that iterate, by the id of their controller.
+_LOOPS: dict[int, Loop] = {}
 
 
 def _divides(grain: float, period: float) -> bool:

@@ -932,3 +932,19 @@ def test_the_joint_that_lacks_most_torque_is_warned_of_once():
         low.check(limit, gravity, 3.21)
     low.check(limit, gravity, 9.0)
     low.check(limit, gravity, 9.9)
+
+
+def test_a_gripper_that_a_program_keeps_measures_the_open_arm():
+    arm = pliant.connect("so101", backend="sim")
+    gripper = arm.gripper
+    with arm:
+        gripper.go(1.0)
+        for tick in pliant.Loop(arm, duration=1.5):
+            tick.skip()
+        assert gripper.position == arm.gripper.position == pytest.approx(1.0, abs=0.05)
+
+
+@pytest.mark.parametrize("name", ["opened", "closed", "limit", "lever"])
+def test_a_gripper_configuration_takes_numbers(name):
+    with pytest.raises(pliant.ConfigError, match=rf"GripperConfig.{name} must be a number, got"):
+        GripperConfig(**{name: "1"})

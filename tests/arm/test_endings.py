@@ -616,6 +616,10 @@ class Descent:
         self.left = self.orders
         return self
 
+    @property
+    def last_write(self):
+        return self.sent[-1][0] if self.sent else -np.inf
+
     def skip_rest(self):
         self.skipped.append(len(self.sent))
         self.phase = "down"

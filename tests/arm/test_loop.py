@@ -376,3 +376,24 @@ def test_a_silent_joint_off_the_chain_is_reported_once(make, monkeypatch):
             tick.write(SimpleNamespace(goal=tick.q, torque_limit=arm.servos.max_torque))
         assert loop.missing == 0
         assert texts == [("no answer from gripper: look at its plug and cable", logging.WARNING)]
+
+
+def test_a_controller_steps_one_arm_at_a_time(make):
+    arms = [make(), make()]
+    controller = pliant.Controller(arms[0].model, pliant.Settings.soft("y"), arms[0].servos)
+    for arm in arms:
+        arm.enable()
+    first = iter(pliant.Loop(arms[0], controller))
+    next(first).skip()
+    with pytest.raises(pliant.ConfigError, match="make a Controller for each arm"):
+        next(iter(pliant.Loop(arms[1], controller)))
+    next(first).skip()
+    # A loop that has ended, or whose arm has no torque, does not keep the controller.
+    arms[0].disable_torque()
+    for tick in pliant.Loop(arms[1], controller, duration=0.05):
+        tick.skip()
+    arms[0].enable()
+    for tick in pliant.Loop(arms[0], controller, duration=0.05):
+        tick.skip()
+    for arm in arms:
+        arm.disable_torque()

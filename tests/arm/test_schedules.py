@@ -687,6 +687,12 @@ class Story:
             world.hardware.faults = 120
             if self._state == "on":
                 ticks(world, arm, 2, 0.0)
+        elif event == "torque off fails":
+            world.hardware.faults = 1
+            with pytest.raises(pliant.ServoError, match="no answer"):
+                arm.disable_torque()
+            with pytest.raises(pliant.ServoError, match=r"torque off failed, .*its guardian"):
+                arm.lower()
         elif event == "the program stalls":
             ticks(world, arm, 3, 0.4)
         elif event == "SIGKILL":

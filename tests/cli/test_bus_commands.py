@@ -1,4 +1,6 @@
 import json
+import os
+import signal
 
 import pytest
 
@@ -391,3 +393,30 @@ def test_ctrl_c_leaves_the_eeprom_of_a_feetech_servo_locked(
         flags = ["--set-id", "5:7"] if is_set_id else ["--backup", str(tmp_path / "old.json")]
         assert main(["servos", "setup", str(file), "--yes", *flags]) == 130
         assert [servo.get("lock") for servo in bus.servos] == [1] * 5
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+@pytest.mark.parametrize("is_set_id", [False, True])
+def test_a_signal_leaves_the_eeprom_of_a_feetech_servo_locked(
+    name, is_set_id, tmp_path, monkeypatch, capsys
+):
+    file, write, number = tmp_path / "arm.toml", eeprom._write, getattr(signal, name)
+    before = signal.getsignal(number)
+
+    def signalled(io, id, family, register, value):
+        write(io, id, family, register, value)
+        # The signals also come while the EEPROM is being locked again.
+        if register == "lock":
+            os.kill(os.getpid(), number)
+
+    with Emulator([Device("STS3215", id=i, operating_mode=1) for i in range(1, 6)]) as bus:
+        write_arm(file, bus, "STS3215")
+        file.write_text(file.read_text().replace("id = 5", "id = 7" if is_set_id else "id = 5"))
+        monkeypatch.setattr(eeprom, "_write", signalled)
+        flags = ["--set-id", "5:7"] if is_set_id else ["--backup", str(tmp_path / "old.json")]
+        assert main(["servos", "setup", str(file), "--yes", *flags]) == 128 + number
+        assert [servo.get("lock") for servo in bus.servos] == [1] * 5
+        if not is_set_id:
+            assert [servo.get("operating_mode") for servo in bus.servos] == [0, 1, 1, 1, 1]
+            assert "the same command shows what is left" in capsys.readouterr().err
+    assert signal.getsignal(number) == before

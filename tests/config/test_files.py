@@ -4,11 +4,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bare_arm import bare_arm
 
 import pliant
 from pliant import config
 from pliant.config import factory
 from pliant.config.factory import make_emulator
+from pliant.config.loader import builtin_text
 from pliant.config.schema import zeros
 from pliant.emulator import ManualClock
 from pliant.servo import ServoBus
@@ -16,6 +18,7 @@ from pliant.servo import ServoBus
 ROBOTS = Path(__file__).parents[3] / "shared" / "robots"
 READY_FILES = ("arm7", "koch", "so100", "so101")
 SIM = 'backend = "sim"\nrobot.builtin = "so101"\n'
+SERVO = SIM + '[servo.a]\nmodel = "MX-64"\nid = 1\n'
 
 
 @pytest.mark.parametrize("name", config.list_arms())
@@ -97,6 +100,12 @@ def test_urdf_and_file_that_disagree_on_joints():
         (SIM + "[[port]]\n[[port]]\n", "'main' is there twice"),
         (SIM + "[loop]\ncomm_timeout = inf", r"loop\.comm_timeout = inf: .* 60"),
         (SIM + "[loop]\ncomm_timeout = 61", r"loop\.comm_timeout = 61: .* 60"),
+        (SERVO + "sign = true", r"servo\.a\.sign: must be 1 or -1, got true"),
+        (SERVO + "secondary = { id = 2, sign = false }", r"secondary\.sign: must be 1 or -1"),
+        (SERVO + "stall = 1e308", r"servo\.a\.stall = 1e\+308: .* 10000"),
+        (SERVO + "kp = 1e308", r"servo\.a\.kp = 1e\+308: .* 1000000"),
+        (SERVO + "gear_ratio = 1e308", r"servo\.a\.gear_ratio = 1e\+308: .* 1000"),
+        (SIM + "robot.table = 1e308", r"robot\.table = 1e\+308: .* 100"),
         (SIM + "[loop]\nreply_timeout_min = 1e9", r"loop\.reply_timeout_min = 1000000000\.0: .* 1"),
     ],
 )
@@ -376,3 +385,19 @@ def test_a_byte_order_mark_is_ignored(tmp_path):
     file = tmp_path / "arm.toml"
     file.write_text(SIM, encoding="utf-8-sig")
     assert config.load(file).robot.builtin == "so101"
+
+
+@pytest.mark.parametrize("key", ["base", "tip"])
+def test_a_link_that_does_not_exist_is_reported_with_its_key(key):
+    text = builtin_text("so101").replace("[robot]", f'[robot]\n{key} = "lower_amr"')
+    message = rf"^robot\.{key}: there is no link 'lower_amr'; did you mean 'lower_arm'\? there "
+    with pytest.raises(pliant.ConfigError, match=message + "are: base, gripper, jaw, lower_arm, "):
+        config.parse(text, source="arm.toml").model()
+
+
+@pytest.mark.parametrize("height", [1e308, float("nan"), -101.0])
+def test_a_table_far_from_the_arm_is_refused(height):
+    with pytest.raises(pliant.OutOfRangeError, match=r"^table \[m\] must be in \[-100, 100\]"):
+        pliant.connect("so101", backend="sim", table=height)
+    with pytest.raises(pliant.OutOfRangeError, match=r"^table \[m\] must be in \[-100, 100\]"):
+        bare_arm("koch", table=height)

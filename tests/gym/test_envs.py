@@ -204,3 +204,19 @@ def test_without_a_render_mode_there_is_no_picture():
     assert env.render() is None
     with pytest.raises(pliant.ConfigError, match="render_mode 'human'; choose \"rgb_array\""):
         TaskEnv(Wall(), render_mode="human")
+
+
+@pytest.mark.parametrize("wrong", [np.nan, np.inf])
+def test_an_action_that_is_not_finite_is_refused_and_changes_nothing(wrong):
+    env = TaskEnv(Wall())
+    env.reset(seed=0)
+    action = np.zeros(env.action_space.shape)
+    for entry in range(action.size):
+        broken = action.copy()
+        broken[entry] = wrong
+        with pytest.raises(pliant.ShapeError, match=r"^action must be 7 finite numbers"):
+            env.step(broken)
+    with pytest.raises(pliant.ShapeError, match=r"^action must be 7 finite numbers"):
+        env.step(np.zeros(3))
+    observation, *_ = env.step(action)
+    assert all(np.isfinite(values).all() for values in observation.values())

@@ -153,3 +153,9 @@ def test_wrong_calls_are_refused():
     envs.reset(seed=1)
     with pytest.raises(pliant.ConfigError, match=r"actions have shape \(7,\), expected \(2, 7\)"):
         envs.step(np.zeros(7))
+    actions = np.zeros((2, 7))
+    actions[1, 3] = np.nan
+    with pytest.raises(pliant.ConfigError, match="the action of arm 1 has an entry NaN or inf"):
+        envs.step(actions)
+    observations, *_ = envs.step(np.zeros((2, 7)))
+    assert all(np.isfinite(values).all() for values in observations.values())

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pliant._core import ConfigError, OutOfRangeError, ShapeError
-from pliant._validation import format_value, real
+from pliant._validation import format_value, number, real
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -30,6 +30,8 @@ FLOAT = np.dtype(np.float64)
 SLACK = 0.1
 #: Largest accepted value of the argument `comm_timeout` [s].
 MAX_COMM_TIMEOUT = 60.0
+#: Largest accepted distance of a table from the origin of the base [m].
+MAX_TABLE_HEIGHT = 100.0
 #: A command of a loop is rejected if its tick began longer ago than both this many periods and this
 #: time [s].
 STALE_PERIODS, STALE = 5.0, 0.1
@@ -167,6 +169,16 @@ STEPS = 60
 #: Depth inside the table at which a point of the arm is still accepted, because models of arm and
 #: table are not exact [m].
 TOLERANCE = 0.005
+
+
+def table_height(value: Any) -> float:
+    """Return the height of a table in base axes [m].
+
+    Raises:
+        ConfigError: The value is not a number.
+        OutOfRangeError: The number is not finite, or more than `MAX_TABLE_HEIGHT` from 0.
+    """
+    return number(value, "table", -MAX_TABLE_HEIGHT, MAX_TABLE_HEIGHT, unit="m")
 
 
 def check_rest(

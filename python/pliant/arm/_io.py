@@ -88,7 +88,16 @@ class JointMap:
         self.extra = tuple(self.names[i] for i in self.off_chain)
 
     def index(self, name: str) -> int:
-        """Return the index of the joint `name` in drive order."""
+        """Return the index of the joint `name` in drive order.
+
+        Raises:
+            ConfigError: The drive has no such joint.
+        """
+        if name not in self.names:
+            raise ConfigError(
+                f"the drive reports the status of {name!r}, which is not one of its names: "
+                f"{', '.join(self.names)}"
+            )
         return self.names.index(name)
 
     def servos(self, drive: Drive) -> Servos:
@@ -220,6 +229,7 @@ class ArmIO:
         orders: Last goal [rad] and limit [N·m] of each joint off the chain, by name.
         thermal: Thermal model of the servos.
         positions: Filter with the last plausible positions.
+        last_write: Time of the last write that the drive accepted [s]; -inf before the first one.
     """
 
     def __init__(self, model: Model, drive: Drive, budget: Budget) -> None:
@@ -272,6 +282,7 @@ class ArmIO:
         # both.
         self._last_access: float
         self._last_position: float
+        self.last_write = -math.inf
         #: Mask (N,) of joints whose torque an ended program may have left on, and that have not
         #: answered yet.
         self.torque_unknown: Mask = np.zeros(size, dtype=bool)
@@ -604,7 +615,7 @@ class ArmIO:
             self._rearm_after_silence()
         self._goals, self._limits, self._is_sent = goals, limits, True
         self.drive.write(goals, limits, speeds)
-        self._last_access = self.clock.now()
+        self.last_write = self._last_access = self.clock.now()
         status = self.drive.poll_status()
         if status is None:
             self._report_silent()

@@ -6,7 +6,7 @@ import contextlib
 import logging
 import re
 import time
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NoReturn
 
 import numpy as np
 
@@ -291,6 +291,9 @@ STIFFER, SOFTER = 2.5, 2.0
 CREEP_SPEED = 0.01
 #: Silence of the bus after which a descent ends with an error [s].
 MAX_SILENCE = 2.0
+#: Longest time without a write before the end of a descent, after which torque stays on [s]; the
+#: servos then have the last torque limits but one.
+MAX_UNSENT = 0.2
 #: Largest number of times that a descent is restarted because servos rejected its goals; it is not
 #: restarted while a joint is silent.
 MAX_RESTARTS = 2
@@ -311,9 +314,10 @@ def descend(
 ) -> bool:
     """Lower the arm until its torque limits are zero, so that torque can be switched off.
 
-    Joints off the chain (grippers) keep goal and limit until the arm rests. Single bus errors do
-    not end the descent, but a silence of `MAX_SILENCE` does; the servos then keep their last goal
-    and limit. The torque limits go to zero only when the torque of all joints is known.
+    Joints off the chain (grippers) keep goal and limit until the arm rests. Single errors of the
+    drive do not end the descent, but `MAX_SILENCE` without a read or without a write does; the
+    servos then keep their last goal and limit. The torque limits go to zero only when the torque of
+    all joints is known.
 
     Args:
         io: Read and write access to the arm.
@@ -331,15 +335,17 @@ def descend(
         ServoError: The bus is gone; torque stays on.
         ServoFaultError: Servos reject goals, or rejected them before joints became silent, or the
             torque of a joint stays unknown; torque stays on.
+        Exception: The drive raises another error for `MAX_SILENCE`; torque stays on.
     """
     clock, model = io.clock, io.model
     period = 1.0 / max(rate, MIN_RATE)
     # Disable the servos' watchdogs: after a trip, a servo would reject the goals of the descent.
-    with contextlib.suppress(ServoError):
+    with contextlib.suppress(Exception):
         io.set_watchdog(0.0)
     refused = 0
+    unsent: Exception | None = None
     lowering = Lowering(model, io.servos, io.q, goal=io.goal, limit=io.limit, rest=rest)
-    before = deadline = heard = clock.now()
+    before = deadline = heard = begin = clock.now()
     while not is_aborted():
         now = clock.now()
         ok = np.zeros(model.n, dtype=bool)
@@ -348,12 +354,10 @@ def descend(
             heard = now
             if (found := io.resume_silent()) is not None:
                 lowering.take_over(found, io.q, io.goal, io.limit)
-        except ServoError as error:
+        except Exception as error:
+            # Errors of a drive's own code must not keep the arm up either.
             if now - heard > MAX_SILENCE:
-                raise ServoError(
-                    "the bus is gone while the arm was being lowered: servos that have power keep "
-                    "their last goal and limit; support the arm before you cut the supply"
-                ) from error
+                _end(error)
         if lowering.phase == "rest" and (names := io.unfit_joints(now)):
             # Without this joint, the others would move along another path, which may lead upward.
             on_detour(f"{', '.join(names)} may not follow to the rest pose")
@@ -366,8 +370,12 @@ def descend(
         if lowering.phase == "ramp" and io.torque_unknown.any():
             if (found := _wait_for_silent(io, rate, is_aborted)) is not None:
                 lowering.take_over(found, io.q, io.goal, io.limit)
-            before = deadline = heard = clock.now()
+            before = deadline = heard = begin = clock.now()
             continue
+        gap = now - max(io.last_write, begin)
+        if unsent is not None and gap > (MAX_SILENCE if order is not None else MAX_UNSENT):
+            # The servos do not have these goals and limits: with torque off, the arm would fall.
+            _end(unsent)
         if order is None and not io.is_refused():
             return True
         if order is None:
@@ -382,12 +390,25 @@ def descend(
             continue
         if on_tick is not None:
             on_tick(lowering)
-        with contextlib.suppress(ServoError):
-            speed_limit = order.speed_limit if np.isfinite(order.speed_limit).any() else None
+        speed_limit = order.speed_limit if np.isfinite(order.speed_limit).any() else None
+        try:
             io.send(order.goal, order.torque_limit, speed_limit)
+            unsent = None
+        except Exception as error:
+            unsent = error
         before, deadline = now, max(deadline + period, now)
         clock.wait_until(deadline)
     return False
+
+
+def _end(error: Exception) -> NoReturn:
+    """Raise the error that ends a descent whose drive raises `error` in every cycle."""
+    if not isinstance(error, ServoError):
+        raise error
+    raise ServoError(
+        "the bus is gone while the arm was being lowered: servos that have power keep their last "
+        "goal and limit; support the arm before you cut the supply"
+    ) from error
 
 
 def _missed_pose(io: ArmIO, rest: Array | None, lowering: Lowering) -> str | None:

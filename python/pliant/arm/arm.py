@@ -14,7 +14,14 @@ import numpy as np
 
 from pliant._core import ArmPoints, ConfigError, ServoError, ServoFaultError
 from pliant._validation import instance, real
-from pliant.arm._checks import TORQUE_OFF, check_rest, path_obstacle, posture, times
+from pliant.arm._checks import (
+    TORQUE_OFF,
+    check_rest,
+    path_obstacle,
+    posture,
+    table_height,
+    times,
+)
 from pliant.arm._guardian import Guardian, beat_all, is_available
 from pliant.arm._io import ArmIO
 from pliant.arm._messages import MESSAGES
@@ -135,8 +142,8 @@ class Arm:
         self._signals = Signals(self._supervisor.abort.set) if handle_signals else None
         self._has_guardian = instance(guardian, bool, "guardian") and is_available(drive)
         self._guardian: Guardian | None = None
-        #: True from the beginning of a descent until torque is off or was left on deliberately.
-        #: If a descent fails, it stays True, and the guardian takes the arm over.
+        #: True from the beginning of a descent or of torque off until torque is off or was left on
+        #: deliberately. If one of them fails, it stays True, and the guardian takes the arm over.
         self._is_unfinished = False
         #: True while torque is on without control, at the user's request.
         self._is_left_on = False
@@ -144,7 +151,7 @@ class Arm:
         #: Threads that `close` waits for once torque is off.
         self._unfinished_threads: list[Thread] = []
         self._build()
-        self.table = None if table is None else real(table, "table [m]")
+        self.table = None if table is None else table_height(table)
         self.detour: str | None = None
         self.rest_q = None if rest_q is None else posture(self.model, rest_q, "rest_q")
         if self.rest_q is not None:
@@ -159,7 +166,9 @@ class Arm:
         # Replace the servo parameters of the model, which may differ from those of the drive.
         self.model = self.model.with_servos(self.servos)
         self._points = ArmPoints(self.model, self.servos.armature)
-        self.grippers = make_grippers(self._io, self._gripper_configs, self._send_gripper)
+        self.grippers = make_grippers(
+            self._io, self._gripper_configs, self._send_gripper, self._gripper_position
+        )
 
     @property
     def enabled(self) -> bool:
@@ -218,6 +227,7 @@ class Arm:
         MESSAGES.start()
         if warning is not None:
             MESSAGES.post(warning, logging.WARNING)
+        former = self._is_unfinished, self._is_left_on
         try:
             if self._signals is not None:
                 self._signals.install()
@@ -231,12 +241,15 @@ class Arm:
             self._supervisor.owner = os.getpid()
             io.start(start, limit, lead)
         except ServoError:
+            # Joints that had torque before keep it: the guardian, or the user, still owns them.
+            self._is_unfinished, self._is_left_on = former
             self._release()
             raise
         except BaseException:
             # A signal came before torque on, so no descent will follow that removes the signal
             # handlers.
             if not self.enabled:
+                self._is_unfinished, self._is_left_on = former
                 self._release()
             raise
         self.leads = transfer_weight(io, self._points, start_q, carried, self.rate)
@@ -311,10 +324,13 @@ class Arm:
     def disable_torque(self) -> None:
         """Switch torque off in the present pose: the arm falls.
 
+        After an error or an interruption, the guardian lowers the arm as after a failed descent.
+
         Raises:
-            ServoError: Torque of a joint stayed on; the others are off.
+            ServoError: Torque of a joint stayed on, or servos do not answer; the others are off.
         """
         with self._supervisor.exclusive(at_once=True):
+            self._is_unfinished |= self.enabled
             try:
                 self.drive.disable(self._io.joints.names)
                 self._is_unfinished = self._is_left_on = False
@@ -373,8 +389,8 @@ class Arm:
             if self._is_unfinished:
                 guardian = ", arm.close() leaves it to its guardian" if self._guardian else ""
                 raise ServoError(
-                    "the last descent failed, torque may be ON: arm.enable() takes the arm over"
-                    f"{guardian}"
+                    "the last descent or torque off failed, torque may be ON: arm.enable() takes "
+                    f"the arm over{guardian}"
                 )
             if self._is_left_on:
                 raise ServoError(
@@ -755,6 +771,11 @@ class Arm:
             self._check_enabled()
             self._io.orders[name] = (goal, limit)
             self._io.send(self._io.goal, self._io.limit)
+
+    def _gripper_position(self, name: str) -> float:
+        """Return the last measured position [rad] of a joint off the chain."""
+        io = self._io
+        return float(io.positions.position[io.joints.index(name)])
 
     def _check_enabled(self) -> None:
         """Raise an error if torque is off; the caller has entered the supervisor's context."""

@@ -43,6 +43,9 @@ class GripperConfig:
 
     def __post_init__(self) -> None:
         """Raise `ConfigError` unless all attributes are valid."""
+        for name in ("opened", "closed", "limit", "lever"):
+            if (value := getattr(self, name)) is not None:
+                real(value, f"GripperConfig.{name}")
         if self.limit is not None and not self.limit >= 0.0:
             raise ConfigError(f"GripperConfig.limit must be at least 0 N·m, got {self.limit!r}")
         if self.lever is not None and not self.lever > 0.0:
@@ -169,7 +172,10 @@ def check_grippers(grippers: Mapping[str, GripperConfig] | None) -> dict[str, Gr
 
 
 def make_grippers(
-    io: ArmIO, grippers: Mapping[str, GripperConfig], order: Callable[[str, float, float], None]
+    io: ArmIO,
+    grippers: Mapping[str, GripperConfig],
+    order: Callable[[str, float, float], None],
+    measure: Callable[[str], float],
 ) -> dict[str, Gripper]:
     """Return one `Gripper` per joint off the chain, by joint name.
 
@@ -177,6 +183,8 @@ def make_grippers(
         io: Read access to the arm.
         grippers: Configurations by joint name; a joint that is not listed has the default.
         order: Function that sends joint name, goal [rad] and torque limit [N·m].
+        measure: Function that returns the last position [rad] of a joint. It must not be that of
+            `io`, which the arm replaces when the drive opens: a program may keep a gripper.
 
     Raises:
         ConfigError: A configuration names an unknown joint, or the ends of the travel are missing.
@@ -195,7 +203,7 @@ def make_grippers(
             max_limit=float(np.broadcast_to(drive.servos.max_torque, len(joints.names))[i]),
             overload=float(overload[i]),
             order=order,
-            measure=lambda name: float(io.positions.position[joints.index(name)]),
+            measure=measure,
         )
         for name, i in zip(joints.extra, joints.off_chain.tolist(), strict=True)
     }

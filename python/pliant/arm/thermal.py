@@ -76,8 +76,8 @@ def thermal_faults(
     for name, heat, degrees, limit in rows:
         if heat > TOO_HOT:
             faults.append(
-                f"{name} is at {100 * heat:.0f} % of its thermal budget, as it holds the arm up: "
-                "choose a pose that needs less torque there"
+                f"{name} is at {100 * heat:.0f} % of its thermal budget: choose a pose that needs "
+                "less torque there, or a smaller force if it is a gripper"
             )
         if degrees >= limit:
             faults.append(

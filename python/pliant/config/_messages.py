@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 #: Remedy for a key of the file that stands in one of its tables.
-AT_THE_TOP = "{} belongs at the top of the file, before its first table in [brackets]"
+AT_THE_TOP = "{} belongs at the top of the file, before its first table"
 
 
 def explain(error: ValidationError, schema: type[BaseModel]) -> list[str]:

@@ -10,7 +10,7 @@ import numpy as np
 from pliant._core import ArmPoints, ConfigError, OutOfRangeError, ServoError, ShapeError
 from pliant._validation import real
 from pliant.arm import Arm, Budget, GripperConfig
-from pliant.arm._checks import posture, vector
+from pliant.arm._checks import posture, table_height, vector
 from pliant.config._messages import suggest
 from pliant.config.loader import load
 from pliant.config.schema import (
@@ -231,7 +231,7 @@ def _on_table(config: Config, height: float | bool | None) -> Config:
     """Return a copy of the configuration with another table height [m]; False, None: no table."""
     if height is True:
         raise ConfigError("table is a height [m], or False for none; got True")
-    table = None if height is None or height is False else real(height, "table [m]")
+    table = None if height is None or height is False else table_height(height)
     robot = config.robot.model_copy(update={"table": table})
     return config.model_copy(update={"robot": robot})
 

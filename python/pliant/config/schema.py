@@ -9,13 +9,21 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, field_validator, model_validator
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PrivateAttr,
+    field_validator,
+    model_validator,
+)
 
 from pliant import robots
-from pliant._core import ConfigError, Model, Servos
+from pliant._core import ConfigError, FrameNotFoundError, Model, Servos
 from pliant._core import Payload as ToolPayload
 from pliant._servo_tables import take
-from pliant.arm._checks import MAX_COMM_TIMEOUT
+from pliant.arm._checks import MAX_COMM_TIMEOUT, MAX_TABLE_HEIGHT
 from pliant.config._messages import suggest
 from pliant.config._settings_table import check_preset, resolve
 from pliant.config.lerobot import read_calibration
@@ -36,8 +44,22 @@ NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False, strict=True)]
 Number = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 Vector3 = tuple[Number, Number, Number]
 Id = Annotated[int, Field(ge=0, le=252, strict=True)]
+#: Torque [N·m], stiffness [N·m/rad] and gear ratio of a servo; the bounds are far above real ones.
+Torque = Annotated[float, Field(gt=0.0, le=1e4, allow_inf_nan=False, strict=True)]
+Stiffness = Annotated[float, Field(gt=0.0, le=1e6, allow_inf_nan=False, strict=True)]
+Ratio = Annotated[float, Field(gt=0.0, le=1e3, allow_inf_nan=False, strict=True)]
 #: Largest value of the P gain register of Feetech servos.
 MAX_GAIN = 254
+
+
+def _not_bool(value: object) -> object:
+    """Reject a bool, because ``True == 1`` and the validation of literals compares values."""
+    if isinstance(value, bool):
+        raise ValueError(f"must be 1 or -1, got {str(value).lower()}")
+    return value
+
+
+Sign = Annotated[Literal[1, -1], BeforeValidator(_not_bool)]
 
 
 class StrictModel(BaseModel):
@@ -82,7 +104,7 @@ class Robot(StrictModel):
     gravity: Vector3 = (0.0, 0.0, -9.81)
     locked: dict[str, Number] = {}
     limits: dict[str, tuple[Number, Number]] = {}
-    table: Number | None = None
+    table: Annotated[Number, Field(ge=-MAX_TABLE_HEIGHT, le=MAX_TABLE_HEIGHT)] | None = None
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:
@@ -115,7 +137,7 @@ class Secondary(StrictModel):
     """
 
     id: Id
-    sign: Literal[1, -1] = -1
+    sign: Sign = -1
 
 
 class Servo(StrictModel):
@@ -154,16 +176,16 @@ class Servo(StrictModel):
     voltage: tuple[Positive, Positive] | None = None
     id: Id
     port: str = "main"
-    sign: Literal[1, -1] = 1
+    sign: Sign = 1
     zero: Number | None = None
-    gear_ratio: Positive = 1.0
+    gear_ratio: Ratio = 1.0
     secondary: Secondary | None = None
     lower: Number | None = None
     upper: Number | None = None
-    stall: Positive | None = None
+    stall: Torque | None = None
     torque_offset: NotNegative = 0.0
     gain: Annotated[int, Field(ge=1, strict=True)] | None = None
-    kp: Positive | None = None
+    kp: Stiffness | None = None
     friction: NotNegative | None = None
     damping: NotNegative | None = None
 
@@ -360,8 +382,18 @@ class Config(StrictModel):
 
         Raises:
             UrdfError: The URDF is not usable.
-            ConfigError: There is no such URDF file, or an option is not valid.
+            ConfigError: There is no such URDF file or link, or an option is not valid.
         """
+        try:
+            return self._load_file(options)
+        except FrameNotFoundError as error:
+            name = str(error.frame)
+            key = "base" if name == options.get("base") else "tip"
+            known = suggest(name, error.available or ())
+            raise ConfigError(f"robot.{key}: there is no link {name!r}; {known}") from None
+
+    def _load_file(self, options: dict[str, Any]) -> Model:
+        """Do the work of `_load`; errors do not name the key of the file."""
         if self.robot.builtin is not None:
             return robots.load(self.robot.builtin, **options)
         assert self.robot.urdf is not None

@@ -11,6 +11,7 @@ import numpy as np
 from gymnasium import spaces
 
 from pliant._core import ConfigError
+from pliant._validation import vector
 from pliant.gym._arms import Arms
 from pliant.sim._mujoco import mujoco
 
@@ -77,9 +78,15 @@ class TaskEnv(gymnasium.Env[dict[str, "Array"], "Array"]):
         return self._observation(), self._arms.info(0)
 
     def step(self, action: Array) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
-        """Run the controller for one decision period; see `gymnasium.Env.step` for the results."""
+        """Run the controller for one decision period; see `gymnasium.Env.step` for the results.
+
+        Raises:
+            ShapeError: `action` has the wrong shape, or an entry is not finite; nothing has moved.
+        """
         assert self._arms.episodes[0] is not None, "call reset() first"
-        rewards, success, failure = self._arms.step(np.asarray(action)[None], np.array([True]))
+        (size,) = self.action_space.shape or ()
+        values = vector(action, size, "action")
+        rewards, success, failure = self._arms.step(values[None], np.array([True]))
         end = bool(success[0] or failure[0])
         return self._observation(), float(rewards[0]), end, False, self._arms.info(0)
 

@@ -119,7 +119,8 @@ class VectorTaskEnv(gymnasium.vector.VectorEnv[dict[str, "Array"], "Array", Any]
         """Run the controllers of all arms for one period of the decision rate.
 
         Raises:
-            ConfigError: There was no `reset` yet, or `actions` has the wrong shape.
+            ConfigError: There was no `reset` yet, or `actions` has the wrong shape, or an entry for
+                an arm that moves is not finite; nothing has moved.
         """
         if not self._rngs:
             raise ConfigError("step before reset: call reset() first")
@@ -129,6 +130,9 @@ class VectorTaskEnv(gymnasium.vector.VectorEnv[dict[str, "Array"], "Array", Any]
             wanted = self.action_space.shape
             raise ConfigError(f"actions have shape {actions.shape}, expected {wanted}")
         moving = ~self._ended
+        wrong = moving & ~np.isfinite(actions).all(axis=1)
+        if wrong.any():
+            raise ConfigError(f"the action of arm {int(wrong.argmax())} has an entry NaN or inf")
         rewards, success, failure = self._step(actions, moving)
         rewards = np.where(moving, rewards, 0.0)
         self._steps[moving] += 1

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import shlex
+import signal
+import threading
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
@@ -10,6 +13,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from pliant._core import ConfigError, ServoError
+from pliant.arm._signals import HANDLED, exception
 from pliant.cli._console import Console, print_line
 from pliant.cli._flags import ArmName, BusFlags, File, Ids
 from pliant.cli.servos import _backup as backups
@@ -27,6 +31,9 @@ from pliant.servo.eeprom import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from types import FrameType
+
     from pliant.config import Config
     from pliant.servo import ServoSpec, Transport
 
@@ -107,14 +114,41 @@ def _write(ports: _Ports, specs: list[ServoSpec], planned: list[RegisterChange])
             for number, _ in spec.servos:
                 changes = [c for c in planned if c.joint == spec.name and c.id == number]
                 try:
-                    write_changes(ports[spec.port], spec.row.family, changes)
+                    with _signals_deferred():
+                        write_changes(ports[spec.port], spec.row.family, changes)
                 except ServoError as error:
                     errors.append(str(error))
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, SystemExit):
         Console(stderr=True).print(f"interrupted: {again}")
         raise
     if errors:
         raise ServoError("\n".join([*dict.fromkeys(errors), again]))
+
+
+@contextmanager
+def _signals_deferred() -> Iterator[None]:
+    """Defer signals that would end the program until the EEPROM of a servo is locked again.
+
+    Raises:
+        KeyboardInterrupt, SystemExit: A signal came; an exit code of 143 stands for SIGTERM.
+    """
+    pending: list[int] = []
+
+    def store(number: int, _: FrameType | None) -> None:
+        pending.append(number)
+
+    former = {}
+    try:
+        is_main = threading.current_thread() is threading.main_thread()
+        for number in HANDLED if is_main else ():
+            if signal.getsignal(number) not in {None, signal.SIG_IGN}:
+                former[number] = signal.signal(number, store)
+        yield
+    finally:
+        for number, handler in former.items():
+            signal.signal(number, handler)
+        if pending:
+            raise exception(pending[0])
 
 
 def _ids(text: str) -> tuple[int, int]:
@@ -149,7 +183,8 @@ def _assign_id(
         _show(console, [RegisterChange(spec.name, old, "id", old, new, "has an id of its own")])
         if not (yes or _confirm(console)):
             _cancel()
-        set_id(io, spec.name, spec.row, old, new)
+        with _signals_deferred():
+            set_id(io, spec.name, spec.row, old, new)
     console.print(f"the servo of {spec.name} answers to id {new} now", highlight=False)
 
 
