@@ -22,8 +22,7 @@ import pliant
 ROOT = Path(__file__).resolve().parents[1]
 EXTRAS = ("mujoco", "matplotlib", "pydantic", "tyro", "rich", "rustypot", "mcap", "viser")
 #: Maximum size of the wheel [bytes]. The goal of 1.6e6 is missed: the compiled module takes 1.43e6,
-#: of which 0.14e6 are urdf-rs (docs/performance.md). It was 2.05e6 before descents were made safe
-#: against lines that are silent for a time, which took 7 kB.
+#: of which 0.14e6 are urdf-rs (docs/performance.md).
 LARGEST_WHEEL = 2.055e6
 LONGEST_RUN = 120  # [s] per example and per document
 

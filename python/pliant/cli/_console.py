@@ -27,6 +27,7 @@ class Console(RichConsole):
 
     def on_broken_pipe(self) -> None:
         """Raise the `BrokenPipeError` that is being handled."""
+        # The base class calls this method in its `except BrokenPipeError`.
         raise  # noqa: PLE0704
 
 
