@@ -522,6 +522,24 @@ def test_a_servo_that_hears_only_while_torque_comes_on_does_not_lift_the_arm():
         arm.close()
 
 
+@pytest.mark.parametrize("family", FAMILIES)
+def test_a_servo_that_restarts_while_torque_comes_on_is_named(family, monkeypatch):
+    with arm_over_bytes(family, LOW, patience=0.01) as (bus, arm):
+        enable = arm.drive.enable
+
+        def enable_and_restart(*arguments, **options):
+            enable(*arguments, **options)
+            bus.reboot(4)
+
+        monkeypatch.setattr(arm.drive, "enable", enable_and_restart)
+        with pytest.raises(pliant.ServoFaultError, match=r"torque of wrist_flex went off again"):
+            arm.enable()
+        # Other joints still hold the arm.
+        assert [servo.id for servo in bus.servos if not servo.enabled] == [4]
+        arm.close()
+        assert not any(servo.enabled for servo in bus.servos)
+
+
 @pytest.mark.parametrize("seconds", [0.3, 1.0])
 def test_a_line_dead_for_a_time_as_watchdogs_are_set(seconds, monkeypatch):
     with arm_over_bytes("x", LOW, patience=0.01) as (bus, arm):

@@ -436,6 +436,12 @@ class ArmIO:
         refusing = getattr(self.drive, "refusing", None)
         return refusing is not None and bool(np.any(np.asarray(refusing)[self.joints.chain]))
 
+    def without_torque(self) -> list[str]:
+        """Return the names of the joints whose torque is off, if the drive reports this."""
+        names = self.joints.names
+        on = np.broadcast_to(getattr(self.drive, "enabled", True), len(names))
+        return [name for name, is_on in zip(names, on, strict=True) if not is_on]
+
     # Methods that write to the drive.
 
     def resume(self, rate: float) -> bool:
