@@ -224,7 +224,8 @@ class Arm:
         start_q = io.q
         start, limit, lead, carried = initial_commands(io, on)
         for name, gripper in self.grippers.items():
-            io.orders[name] = (gripper.position, gripper.limit)
+            # A gripper with torque on may hold an object.
+            io.orders[name] = io.stored_order(name) or (gripper.position, gripper.limit)
         MESSAGES.start()
         if warning is not None:
             MESSAGES.post(warning, logging.WARNING)
