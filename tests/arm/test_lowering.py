@@ -358,7 +358,7 @@ def test_after_a_silence_no_goal_is_far_from_its_joint_whichever_joint_answers_f
     """The servos have received no goal in the meantime."""
     lead = model.gravity(grasp) / model.servos.kp
     lowering = Lowering(model, model.servos, grasp, goal=grasp + lead, rest=rest)
-    for _ in range(200):
+    for _ in range(300):  # the goals wait for 1.7 s if there is a rest pose
         command = lowering.step(grasp, np.zeros(7, dtype=bool), dt=0.01)
     far = np.abs(command.goal - grasp - lead) > 0.05
     assert far.any()
@@ -379,7 +379,7 @@ def test_a_joint_taken_over_after_a_silence_leaves_no_goal_far_from_its_joint(mo
     """A guardian whose line was dead while one servo had not answered yet."""
     lead = model.gravity(grasp) / model.servos.kp
     lowering = Lowering(model, model.servos, grasp, goal=grasp + lead, rest=rest)
-    for _ in range(200):
+    for _ in range(300):  # the goals wait for 1.7 s if there is a rest pose
         command = lowering.step(grasp, np.zeros(7, dtype=bool), dt=0.01)
     goal, limit = command.goal.copy(), command.torque_limit.copy()
     assert np.abs(goal - grasp - lead).max() > 0.05
@@ -458,3 +458,22 @@ def test_a_blind_descent_does_not_lift_the_tool(q, stiffness):
     # 24 mm and more, and up to 20 cm over emulated servos, if the tool may rise to its height at
     # the start.
     assert np.max(heights - np.minimum.accumulate(heights)) < 0.005
+
+
+def test_an_arm_without_positions_waits_on_its_way_to_the_rest_pose():
+    """The shoulder's servo is the only one that receives goals."""
+    model = robots.so101()
+    q, rest = np.array([0.3, 0.2, 0.0, 0.2, 0.0]), [0.0, -1.74, 1.57, 0.85, 0.0]
+    lowering = Lowering(model, model.servos, q, rest=rest)
+    lead = model.gravity(q) / np.asarray(model.servos.kp)
+    for _ in range(100):
+        q = lowering.step(q, dt=0.01).goal - lead
+    start, heights, passed = model.forward_kinematics(q)[2, 3], [], 0.0
+    while lowering.phase == "rest":
+        goal, passed = lowering.step(np.full(model.n, np.nan), dt=0.01).goal, passed + 0.01
+        q[1] = goal[1] - lead[1]
+        heights.append(model.forward_kinematics(q)[2, 3])
+    assert lowering.blind
+    assert 1.5 < passed < 2.0
+    # 0.26 m if the goals go on.
+    assert max(heights) < start + 0.005

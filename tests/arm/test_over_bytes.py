@@ -522,6 +522,54 @@ def test_a_servo_that_hears_only_while_torque_comes_on_does_not_lift_the_arm():
         arm.close()
 
 
+@pytest.mark.parametrize("family", FAMILIES)
+def test_a_servo_that_restarts_while_torque_comes_on_is_named(family, monkeypatch):
+    with arm_over_bytes(family, LOW, patience=0.01) as (bus, arm):
+        enable = arm.drive.enable
+
+        def enable_and_restart(*arguments, **options):
+            enable(*arguments, **options)
+            bus.reboot(4)
+
+        monkeypatch.setattr(arm.drive, "enable", enable_and_restart)
+        with pytest.raises(pliant.ServoFaultError, match=r"torque of wrist_flex went off again"):
+            arm.enable()
+        # Other joints still hold the arm.
+        assert [servo.id for servo in bus.servos if not servo.enabled] == [4]
+        arm.close()
+        assert not any(servo.enabled for servo in bus.servos)
+
+
+@pytest.mark.parametrize("is_same", [True, False])
+def test_a_gripper_with_torque_does_not_let_go_as_the_arm_is_taken_over(is_same):
+    """The same program, or another one, enables an arm that was left on."""
+    with arm_over_bytes("sts", LOW) as (bus, first):
+        arm = first
+        arm.enable()
+        gripper = bus.servos[-1]
+        bus.plant.mj_model.joint("gripper").range[0] = arm.gripper.position  # an object
+        arm.gripper.close(force=0.5)
+        arm.leave_enabled()
+        arm.clock.wait_until(arm.clock.now() + 0.3)
+        names = ("goal_position", "torque_limit")
+        before = [gripper.get(name) for name in names]
+        drive = arm.drive
+        if not is_same:
+            arm.close()
+            drive = ServoBus(drive.specs, clock=ManualClock(bus))
+            arm = Arm(arm.model, drive, handle_signals=False)
+        arm.enable()
+        arm.write(arm.read().q)
+        arm.clock.wait_until(arm.clock.now() + 0.1)
+        assert [gripper.get(name) for name in names] == before
+        # 0.03 N·m with the measured position as goal.
+        assert abs(bus.plant.mj_data.actuator("gripper").force[0]) == pytest.approx(0.5, rel=0.05)
+        arm.disable_torque()
+        arm.enable()  # without torque, the gripper stays where it is
+        assert gripper.get("goal_position") == pytest.approx(gripper.position, abs=2)
+        arm.close()
+
+
 @pytest.mark.parametrize("seconds", [0.3, 1.0])
 def test_a_line_dead_for_a_time_as_watchdogs_are_set(seconds, monkeypatch):
     with arm_over_bytes("x", LOW, patience=0.01) as (bus, arm):

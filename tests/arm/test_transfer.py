@@ -104,6 +104,9 @@ class Pair:
         self.positions.time = np.where(ok, self.time, self.positions.time)
         return ok
 
+    def without_torque(self):
+        return []
+
     def send(self, goal, limit):
         self.goal, self.limit = goal.copy(), limit.copy()
         self.sent.append(np.concatenate([goal, limit]))

@@ -406,6 +406,23 @@ class ArmIO:
             return np.full(self.model.n, np.nan), np.full(self.model.n, np.nan)
         return np.asarray(orders[0])[chain], np.asarray(orders[1])[chain]
 
+    def stored_order(self, name: str) -> tuple[float, float] | None:
+        """Return goal [rad] and limit [N·m] in the servo of a joint off the chain.
+
+        Return None if its torque is off, or torque, goal or limit are unknown.
+        """
+        drive, size, i = self.drive, len(self.joints.names), self.joints.index(name)
+        is_on, is_unknown = (
+            bool(np.broadcast_to(getattr(drive, mask, False), size)[i])
+            for mask in ("enabled", "torque_unknown")
+        )
+        if not is_on or is_unknown:
+            return None
+        found = getattr(drive, "orders", None)
+        if found is not None and math.isfinite(found[0][i] + found[1][i]):
+            return float(found[0][i]), float(found[1][i])
+        return self.orders.get(name)
+
     def set_watchdog(self, seconds: float) -> None:
         """Set the servos' watchdog, if supported: they stop after this bus silence [s]; 0 is off.
 
@@ -435,6 +452,11 @@ class ArmIO:
         """Return True if the drive reports that a servo of the chain rejects goals."""
         refusing = getattr(self.drive, "refusing", None)
         return refusing is not None and bool(np.any(np.asarray(refusing)[self.joints.chain]))
+
+    def without_torque(self) -> list[str]:
+        """Return the names of the chain's joints whose torque is off, if the drive reports this."""
+        on = np.broadcast_to(getattr(self.drive, "enabled", True), len(self.joints.names))
+        return [self.joints.names[i] for i in self.joints.chain if not on[i]]
 
     # Methods that write to the drive.
 

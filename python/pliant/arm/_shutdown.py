@@ -412,12 +412,11 @@ def _end(error: Exception) -> NoReturn:
 
 
 def _missed_pose(io: ArmIO, rest: Array | None, lowering: Lowering) -> str | None:
-    """Return a text about an arm that stands away from its rest pose; None if it is there.
-
-    In a blind descent the positions are not known, and the result is None.
-    """
-    if rest is None or lowering.blind:
+    """Return a text about an arm that stands away from its rest pose; None if it is there."""
+    if rest is None:
         return None
+    if lowering.blind:
+        return "no servo answers on the way to the rest pose"
     away = np.abs(np.asarray(rest) - io.q)
     joint = int(np.argmax(away))
     if away[joint] < MISSED_POSE:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant._core import SUPPORT, ServoError, ServoTimeoutError, torque_margin
+from pliant._core import SUPPORT, ServoError, ServoFaultError, ServoTimeoutError, torque_margin
 from pliant.arm._io import RAMP_TIME
 from pliant.arm._startup import LEAD_FACTOR, full_lead
 
@@ -280,6 +280,11 @@ class _WeightTransfer:
                 self._hold()
             else:
                 io.send(io.goal, io.limit)
+        if names := io.without_torque():
+            raise ServoFaultError(
+                f"the torque of {', '.join(names)} went off again while torque came on: look at "
+                "plug and power supply"
+            )
         # Encoder steps may be coarser than assumed.
         change = np.abs(io.q - before)
         change = np.where(change > MIN_CHANGE, change, np.inf)

@@ -199,7 +199,8 @@ class Arm:
             ServoTimeoutError: Joints do not answer; the message names them.
             ServoError: Before anything is sent: a joint reads outside its limits, its gravity
                 torque is more than twice the usable torque of its servo, or the bus is too slow
-                for `rate`. Afterwards: joints moved when torque came on, or did not confirm.
+                for `rate`. Afterwards: joints moved when torque came on, did not confirm, or lost
+                their torque again, as a servo that restarts does; the others keep theirs then.
         """
         with self._supervisor.exclusive():
             if not self.enabled:
@@ -223,7 +224,8 @@ class Arm:
         start_q = io.q
         start, limit, lead, carried = initial_commands(io, on)
         for name, gripper in self.grippers.items():
-            io.orders[name] = (gripper.position, gripper.limit)
+            # A gripper with torque on may hold an object.
+            io.orders[name] = io.stored_order(name) or (gripper.position, gripper.limit)
         MESSAGES.start()
         if warning is not None:
             MESSAGES.post(warning, logging.WARNING)

@@ -566,9 +566,11 @@ impl Lowering {
             } else {
                 self.downward(dt, &here, &gravity)
             };
+            // Without positions, a servo may be the only one that receives goals, and its joint alone could lift the tool.
+            let waits = self.blind && self.phase == LoweringPhase::Rest;
             let mut idle = *lost;
             for i in 0..self.n {
-                let blocked = self.is_outward(i, u[i]) || (lost[i] && !self.blind);
+                let blocked = waits || self.is_outward(i, u[i]) || (lost[i] && !self.blind);
                 idle[i] = idle[i] || blocked;
                 u[i] = if blocked { 0.0 } else { u[i] };
             }
