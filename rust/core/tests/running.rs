@@ -175,7 +175,9 @@ fn after_update(from: Settings, to: Settings, away: f64) -> (f64, [f64; 2]) {
 fn an_axis_that_becomes_firmer_restarts_its_reference_where_its_force_is_unchanged() {
     let capped = |law, cap: f64| {
         let mut settings = Settings { law, ..Settings::default() };
-        settings.set_axes("y", Axis { soft: Some([cap; 2]), firm: Some([cap; 2]), ..Axis::default() }).unwrap();
+        let stiffness = matches!(law, Law::Impedance).then_some([400.0; 2]);
+        let axis = Axis { soft: Some([cap; 2]), firm: Some([cap; 2]), stiffness, ..Axis::default() };
+        settings.set_axes("y", axis).unwrap();
         settings
     };
     for law in [Law::Cap, Law::Impedance] {
