@@ -53,8 +53,8 @@ LOWEST = 1.0
 AVERAGE, CHANGE, CHANGE_SHARE = 50, 5e-4, 0.1
 #: Largest delay that the settings of a controller accept [s].
 MAX_DELAY = 0.5
-#: Every `WATCHED`-th command is examined; after `FIRST_STEPS` in a row that a controller's first step
-#: made, the loop warns.
+#: Every `WATCHED`-th command is examined; after `FIRST_STEPS` in a row from the first steps of
+#: controllers, the loop warns.
 WATCHED, FIRST_STEPS = 4, 3
 #: Longest time step of the goals' speed limit [s], as in the core.
 LONGEST_SLEW = 0.1
@@ -373,7 +373,7 @@ class Loop:
         self.controller: Any = controller
         # `controller` may become a wrapper of it, with the recorder.
         self._stepped = controller
-        # Largest speed of the controller's goals [rad/s]; without a controller that of the defaults.
+        # Largest speed of the controller's goals [rad/s]; without a controller, the default.
         tracking = getattr(getattr(controller, "settings", None), "tracking", None)
         self._goal_slew = float(getattr(tracking, "goal_slew", 1.0))
         # Examined commands in a row that a first step made; None: the loop has warned.
