@@ -2068,6 +2068,11 @@ class Controller:
     def update(self, settings: Settings) -> None:
         """Replace the settings while running; the goals continue from their present values.
 
+        If an axis would exert more force at its present deviation than before, e.g. because it
+        becomes stiff, its reference restarts nearer to the tool, where the force is unchanged. From
+        there it approaches the target at no more than `Settings.max_tool_speed`, as after a step of
+        the target. With an infinite limit there is no reference, and the new force acts at once.
+
         Raises:
             ConfigError, OutOfRangeError, ShapeError: As the class; nothing has changed.
         """

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+import warnings
 from array import array
 from bisect import bisect_right
 from contextlib import contextmanager
@@ -52,6 +53,11 @@ LOWEST = 1.0
 AVERAGE, CHANGE, CHANGE_SHARE = 50, 5e-4, 0.1
 #: Largest delay that the settings of a controller accept [s].
 MAX_DELAY = 0.5
+#: Every `WATCHED`-th command is examined; after `FIRST_STEPS` in a row from the first steps of
+#: controllers, the loop warns.
+WATCHED, FIRST_STEPS = 4, 3
+#: Longest time step of the goals' speed limit [s], as in the core.
+LONGEST_SLEW = 0.1
 
 
 #: Logarithmic bins of the lateness histogram: lower end of the first bin [s], number of bins per
@@ -367,6 +373,11 @@ class Loop:
         self.controller: Any = controller
         # `controller` may become a wrapper of it, with the recorder.
         self._stepped = controller
+        # Largest speed of the controller's goals [rad/s]; without a controller, the default.
+        tracking = getattr(getattr(controller, "settings", None), "tracking", None)
+        self._goal_slew = float(getattr(tracking, "goal_slew", 1.0))
+        # Examined commands in a row that a first step made; None: the loop has warned.
+        self._first_steps: int | None = 0
         if recorder is not None:
             self.controller = recorder.start(arm, controller, rate)
 
@@ -561,12 +572,43 @@ class Loop:
         modelled = np.asarray(arm.model.gravity(q)) / np.asarray(arm.servos.kp)
         capture(q, q + np.where(np.isfinite(leads), leads, modelled))
 
+    def _watch_first_steps(self, tick: Tick, command: Command) -> None:
+        """Warn if commands keep coming from the first steps of controllers.
+
+        The goals of a first step are at most `dt` times `goal_slew` away from the positions, and a
+        joint that carries weight is at this bound. The goals of later steps are not, because they
+        move from the last goals.
+
+        Warns:
+            RuntimeWarning: The goals do not carry the arm.
+        """
+        if self._first_steps is None or tick.index % WATCHED:
+            return
+        lead = float(np.abs(command.goal - tick.q).max())
+        bounds = [self._goal_slew * min(dt, LONGEST_SLEW) for dt in (tick.dt, self.period)]
+        if not any(abs(lead - bound) < 1e-6 * bound for bound in bounds):
+            self._first_steps = 0
+            return
+        self._first_steps += 1
+        if self._first_steps < FIRST_STEPS:
+            return
+        self._first_steps = None
+        warnings.warn(
+            "every command comes from the first step of a controller, whose goals start at the "
+            "present positions: they do not carry the arm, which sinks or falls. Make the "
+            "Controller once, before the loop, and do not reset it in every tick; "
+            "controller.update(settings) changes its settings, tick.step(target) its target",
+            RuntimeWarning,
+            stacklevel=4,
+        )
+
     def _write(
         self, tick: Tick, command: Commanded, extra: Mapping[str, tuple[float, float]] | None
     ) -> bool:
         """Check a command; send it and return True, or count it as rejected and return False."""
         arm, clock = self._arm, self._clock
         if isinstance(command, Command):
+            self._watch_first_steps(tick, command)
             goal, limit, speed = command.goal, command.torque_limit, command.speed_limit
         elif hasattr(command, "goal") and hasattr(command, "torque_limit"):
             goal = vector(arm.model, command.goal, "goal", finite=False)

@@ -664,6 +664,8 @@ def test_a_slow_bus_and_a_wrong_stiffness_are_warned_of_at_torque_on(quick, monk
         "elbow",
     ]
     assert {level for _, level in quick.texts} == {logging.WARNING}
+    for word in ("sink", "later", "latency timer", "baud rate"):
+        assert word in quick.texts[0][0]
     quick.disable_torque()
 
 

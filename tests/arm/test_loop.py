@@ -4,6 +4,7 @@ import logging
 import os
 import threading
 import time
+import warnings
 from contextlib import nullcontext
 from types import SimpleNamespace
 
@@ -397,3 +398,24 @@ def test_a_controller_steps_one_arm_at_a_time(make):
         tick.skip()
     for arm in arms:
         arm.disable_torque()
+
+
+@pytest.mark.parametrize("starts", ["new every tick", "reset every tick", "new once", "never"])
+def test_a_controller_that_starts_anew_in_every_tick_is_reported_once(starts):
+    """The goals are then never far from the positions, and the arm sinks by 0.1 m and more."""
+    settings = pliant.Settings.firm(task="xyz")
+    with pliant.connect("so101", backend="sim", q=(0.0, -0.3, 0.3, 0.9, 0.0), table=False) as arm:
+        controller = pliant.Controller(arm.model, settings, arm.servos)
+        target = arm.model.forward_kinematics(arm.read().q)
+        with warnings.catch_warnings(record=True) as reported:
+            warnings.simplefilter("always")
+            for tick in pliant.Loop(arm, controller, rate=100.0, duration=0.5):
+                if starts == "new every tick" or (starts == "new once" and tick.index == 20):
+                    controller = pliant.Controller(arm.model, settings, arm.servos)
+                if starts == "reset every tick":
+                    controller.reset(tick.q)
+                tick.write(controller.step(tick.q, target, dt=tick.dt))
+    said = [str(warning.message) for warning in reported]
+    assert len(said) == starts.endswith("every tick"), said
+    assert all("first step of a controller" in text for text in said)
+    assert {warning.filename for warning in reported} <= {__file__}

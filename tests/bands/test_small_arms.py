@@ -3,8 +3,12 @@
 import numpy as np
 import pytest
 
+import pliant
 from experiments import steps
 from experiments.arms import BESIDE, ROBOTS
+from experiments.simulation import closed_loop
+from pliant import Axis
+from pliant.sim import Plant
 
 COUNT = 3
 #: Case of a bug report: the tool moved at 0.38 m/s despite a bound of 0.25, and overshot by 28 mm.
@@ -64,3 +68,44 @@ def test_steps_that_are_asked_go_in_several_directions(name):
     directions = np.array([step.way for step in steps.steps(name, COUNT)])
     assert np.allclose(np.linalg.norm(directions, axis=1), 0.1)
     assert np.linalg.matrix_rank(directions, tol=0.01) > 1
+
+
+def fastest_after_update(name, step, before, after):
+    """Return the distance to the target at an update [m], and the largest speed after it [m/s].
+
+    The target steps under the settings `before`; `after` replaces them 1.5 s later. The speed of
+    the tool is averaged over 50 ms.
+    """
+    arm = steps.arm(name)
+    controller = pliant.Controller(arm.model, before)
+    plant = Plant(arm.model, rate=steps.RATE, encoder_step=np.asarray(arm.servos.encoder_step))
+    plant.reset(step.q)
+    target = plant.tool
+    for _ in closed_loop(plant, controller, target, 0.5):
+        pass
+    target[:3, 3] += step.way
+    path = [plant.tool[:3, 3] for _ in closed_loop(plant, controller, target, 1.5)]
+    away = np.linalg.norm(target[:3, 3] - path[-1])
+    controller.update(after)
+    window = round(steps.WINDOW * steps.RATE)
+    path = path[-window - 1 :]
+    path += [plant.tool[:3, 3] for _ in closed_loop(plant, controller, target, 2.0)]
+    speeds = np.linalg.norm(np.array(path)[window:] - np.array(path)[:-window], axis=1)
+    return away, float(speeds.max()) / steps.WINDOW
+
+
+@pytest.mark.parametrize("speed", steps.SPEEDS)
+@pytest.mark.parametrize("law", steps.LAWS)
+@pytest.mark.parametrize("name", ["so101", "koch", "vx300s"])
+def test_an_axis_that_becomes_stiff_keeps_the_tool_speed(name, law, speed):
+    """The bounds are those of a step of the target."""
+    require_urdf(name)
+    stiff = steps.settings(name, law, speed)
+    tiny = 1e-4 if law == "paper" else 1e-3
+    free = stiff.replace(axes={axis: Axis(soft=tiny, firm=2.0 * tiny) for axis in "xy"})
+    bound = 1.2 * speed + (0.04 if name == "vx300s" and law != "paper" else 0.02)
+    for way, step in zip((0.1, -0.1), steps.steps(name, 2), strict=True):
+        sideways = steps.Step(step.q, (0.0, way, 0.0))
+        away, fastest = fastest_after_update(name, sideways, free, stiff)
+        assert fastest <= bound, (step, fastest)
+        assert away > 0.09 or law == "paper", (step, away)

@@ -7,7 +7,10 @@ import pytest
 from mismatch import Mismatch, Parameters
 
 import pliant
+from experiments import steps
+from experiments.arms import BESIDE, ROBOTS
 from experiments.hand_guiding import guide
+from pliant.sim import Plant
 
 
 def guide_arm(arm, pose, kp):
@@ -88,3 +91,26 @@ def test_invalid_arguments_of_hand_guiding_are_refused(arm, grasp):
     with pytest.raises(pliant.ShapeError):
         floating.step(np.full(7, np.nan))
     assert not floating.ready
+
+
+def test_a_joint_that_does_not_swing_does_not_oscillate_later():
+    """Its friction is not measured; a feed-forward above it let the shoulder swing by ±9 mm."""
+    if not (ROBOTS / BESIDE["vx300s"][0]).exists():
+        pytest.skip("no URDF of vx300s beside this checkout")
+    arm = steps.arm("vx300s")
+    count = float(np.deg2rad(0.088))
+    servos = arm.servos.replace(encoder_step=count, stiffness_known=False)
+    plant = Plant(
+        arm.model, servos, kp_scale=1.25, encoder_step=count, deadband=1e-3, friction_creep=0.1
+    )
+    plant.reset(steps.steps("vx300s", 1)[0].q)
+    guiding = pliant.HandGuiding(arm.model, servos)
+    height = []
+    while plant.time < 14.0:
+        command = guiding.step(plant.read().q)
+        plant.write(command.goal, command.torque_limit)
+        plant.advance()
+        if plant.time > 10.0:
+            height.append(plant.tool[2, 3])
+    assert guiding.ready
+    assert np.ptp(height) < 2e-3

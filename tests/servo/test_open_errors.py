@@ -377,7 +377,9 @@ def test_the_latency_of_an_adapter_is_measured_and_reported(model):
     with Emulator(parts, timing=Timing(wire=True, usb_latency=0.016)) as bus:
         specs = [ServoSpec(name=f"joint{i}", model=model, id=i, port=bus.port) for i in range(1, 4)]
         with ServoBus(specs) as servo_bus:
-            assert any("ms later than the wire takes" in note for note in servo_bus.found[0].notes)
+            notes = servo_bus.found[0].notes
+            assert any("ms later than the wire takes" in note for note in notes)
+            assert any("reacts late and sinks" in note for note in notes)
             ok = [servo_bus.read().ok.all() for _ in range(20)]
     # With an unknown adapter latency, every reply would time out before it arrives.
     assert sum(ok) > 12

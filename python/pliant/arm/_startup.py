@@ -108,8 +108,11 @@ def check_reading_time(io: ArmIO, duration: float, rate: float, *, required: boo
         return None
     return (
         f"reading all joints takes {duration * 1e3:.0f} ms, a period at {rate:g} Hz "
-        f"{1e3 / rate:.0f} ms: the loop is slower than that. `pliant servos doctor ARM` measures "
-        "the reading; an adapter may delay each answer by a latency timer (docs/troubleshooting.md)"
+        f"{1e3 / rate:.0f} ms: the loop is slower than that. The arm may sink by centimetres as "
+        "torque comes on, keep a hand under it, and reacts to a push or a contact later. Set the "
+        "latency timer of the adapter to 1 ms (16 ms is FTDI's default), and the servos to a "
+        "higher baud rate if theirs is low; `pliant servos doctor ARM` measures the reading "
+        "(docs/troubleshooting.md)"
     )
 
 

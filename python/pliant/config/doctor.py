@@ -174,7 +174,8 @@ def _ports(chain: ServoBus) -> Iterator[Diagnosis]:
             yield Diagnosis(
                 "bad",
                 "adapter",
-                f"{path} delays replies by {timer * 1e3:.0f} ms: echo 1 | sudo tee "
+                f"{path} delays replies by {timer * 1e3:.0f} ms, so the arm reacts late and sinks "
+                f"more as torque comes on: echo 1 | sudo tee "
                 f"/sys/bus/usb-serial/devices/{name}/latency_timer (a udev rule makes it last)",
             )
 
@@ -269,7 +270,16 @@ def _cycle(chain: ServoBus, config: Config) -> Diagnosis:
             "bad", "bus", f"{lost} of {CYCLES} readings lost; {text}: check the cables"
         )
     if worst > 0.7 / config.loop.rate:
+        remedy = (
+            f"set the servos to more than {config.port[0].baud} bit/s, and `baud` in [[port]] with "
+            "them"
+            if bare > 0.5 * median
+            else "set the latency timer of the adapter to 1 ms"
+        )
         return Diagnosis(
-            "bad", "bus", f"{text}: too slow for {config.loop.rate:g} Hz; lower [loop] rate"
+            "bad",
+            "bus",
+            f"{text}: too slow for {config.loop.rate:g} Hz. The arm may sink by centimetres as "
+            f"torque comes on, and reacts late: {remedy}, or lower [loop] rate",
         )
     return Diagnosis("good", "bus", text)

@@ -185,8 +185,9 @@ class HandGuiding:
         middle = 0.5 * (1.0 / (factor * rig.kp) + factor / rig.kp)
         base = self._holding_torque(q)
         rows = all_segments(rig)
-        # Joints that did not move steadily get the friction of the servo parameters.
-        lead, friction = np.zeros(n), rig.friction * middle
+        # Joints that did not move steadily get the friction of the servo parameters, as a lead at
+        # the largest stiffness: feed-forward above their true friction would make them oscillate.
+        lead, friction = np.zeros(n), rig.friction / (factor * rig.kp)
         swung = np.zeros(n, dtype=bool)
         for i in range(n):
             sides = [

@@ -172,8 +172,9 @@ def _adapter_note(port: Port) -> str:
         port.latency = guard.latency = round(guard.held_back, 3)
         return (
             f"every answer on {port.path} comes {guard.held_back * 1e3:.0f} ms later than the wire "
-            "takes: the adapter delays short answers (16 ms is FTDI's default), which reduces "
-            "the rate of the loop: set its latency timer to 1 ms (docs/troubleshooting.md)"
+            "takes: the adapter delays short answers (16 ms is FTDI's default), so the loop is "
+            "slower, and the arm reacts late and sinks more as torque comes on: set its latency "
+            "timer to 1 ms (docs/troubleshooting.md)"
         )
     if port.latency is not None and port.latency > 0.001:
         return (

@@ -155,6 +155,103 @@ fn new_settings_move_goals_at_the_limited_rate() {
     }
 }
 
+/// Deviation along y after an update from `from` to `to`, with the target `away` [m] from a resting tool; then the force
+/// and the deviation at the next step.
+fn after_update(from: Settings, to: Settings, away: f64) -> (f64, [f64; 2]) {
+    let (_, mut controller, mut target) = make(from);
+    controller.step(&Q, &target, &StepInput::default()).unwrap();
+    target.position[1] += away;
+    for _ in 0..200 {
+        controller.step(&Q, &target, &StepInput::default()).unwrap();
+    }
+    let before = controller.diagnostics().wrench[1];
+    controller.update(to).unwrap();
+    controller.step(&Q, &target, &StepInput::default()).unwrap();
+    let now = controller.diagnostics();
+    (before, [now.wrench[1], now.deviation[1]])
+}
+
+#[test]
+fn an_axis_that_becomes_firmer_restarts_its_reference_where_its_force_is_unchanged() {
+    let capped = |law, cap: f64| {
+        let mut settings = Settings { law, ..Settings::default() };
+        let stiffness = matches!(law, Law::Impedance).then_some([400.0; 2]);
+        let axis = Axis { soft: Some([cap; 2]), firm: Some([cap; 2]), stiffness, ..Axis::default() };
+        settings.set_axes("y", axis).unwrap();
+        settings
+    };
+    for law in [Law::Cap, Law::Impedance] {
+        let firm = || Settings { law, ..Settings::default() };
+        for away in [0.15, -0.15] {
+            // From a free axis the reference restarts at the tool, and moves by at most 1 m/s² · (10 ms)².
+            let (_, [_, deviation]) = after_update(capped(law, 1e-3), firm(), away);
+            assert!(deviation.abs() < 2e-4, "{law:?}: {deviation}");
+            // A larger force cap acts as the tool lags behind the reference, not at once.
+            let (before, [force, deviation]) = after_update(capped(law, 2.0), capped(law, 20.0), away);
+            assert!((before.abs() - 2.0).abs() < 1e-9, "{law:?}: {before}");
+            assert!(force / before >= 0.8 && force / before < 1.6, "{law:?}: {before} N, then {force} N");
+            assert!(deviation * away > 0.0 && deviation.abs() < 0.05, "{law:?}: {deviation}");
+            // An axis that keeps its settings or becomes softer keeps its reference.
+            for to in [capped(law, 20.0), capped(law, 1.0)] {
+                let (_, [_, deviation]) = after_update(capped(law, 20.0), to, away);
+                assert!((deviation - away).abs() < 1e-12, "{law:?}: {deviation}");
+            }
+        }
+    }
+    let paper = |budget: f64| {
+        let mut settings = Settings { max_tool_speed: [0.25, 1.0], ..Settings::paper() };
+        settings.set_axes("y", Axis { soft: Some([budget; 2]), firm: Some([budget; 2]), ..Axis::default() }).unwrap();
+        settings
+    };
+    let (_, [_, deviation]) = after_update(paper(1e-4), paper(1.0), 0.15);
+    assert!(deviation.abs() < 5e-3, "{deviation}");
+    // The strengths of law `paper` compare with no force: all axes restart at the tool.
+    let (_, [_, deviation]) = after_update(capped(Law::Cap, 20.0), paper(1.0), 0.15);
+    assert!(deviation.abs() < 2e-4, "{deviation}");
+}
+
+#[test]
+fn an_axis_that_joins_or_leaves_the_task_or_turns_with_its_frame_restarts_its_reference() {
+    let only =
+        |axes: &str, frame| Settings { task: Task { frame, ..Task::parse(axes).unwrap() }, ..Settings::default() };
+    let (_, [_, deviation]) = after_update(only("x z", Frame::Base), only("xyz", Frame::Base), 0.15);
+    assert!(deviation.abs() < 2e-4, "{deviation}");
+    // The free y axis of the base is the stiff x axis of the turned frame.
+    let turned = Frame::Rotation([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]);
+    let (_, mut controller, mut target) = make(only("x z", Frame::Base));
+    controller.step(&Q, &target, &StepInput::default()).unwrap();
+    target.position[1] += 0.15;
+    for _ in 0..200 {
+        controller.step(&Q, &target, &StepInput::default()).unwrap();
+    }
+    controller.update(only("x y z", turned)).unwrap();
+    controller.step(&Q, &target, &StepInput::default()).unwrap();
+    assert!(controller.diagnostics().deviation[0].abs() < 2e-4, "{:?}", controller.diagnostics().deviation);
+}
+
+#[test]
+fn a_force_cap_that_rises_at_every_step_does_not_let_go() {
+    let capped = |cap: f64| {
+        let mut settings = Settings::default();
+        settings.set_axes("y", Axis { soft: Some([cap; 2]), firm: Some([cap; 2]), ..Axis::default() }).unwrap();
+        settings
+    };
+    let (_, mut controller, mut target) = make(capped(5.0));
+    controller.step(&Q, &target, &StepInput::default()).unwrap();
+    target.position[1] += 0.15;
+    for _ in 0..200 {
+        controller.step(&Q, &target, &StepInput::default()).unwrap();
+    }
+    let mut last = controller.diagnostics().wrench[1];
+    for tick in 1..=100 {
+        controller.update(capped(5.0 + 0.1 * f64::from(tick))).unwrap();
+        controller.step(&Q, &target, &StepInput::default()).unwrap();
+        let force = controller.diagnostics().wrench[1];
+        assert!(force >= 0.99 * last, "tick {tick}: {last} N, then {force} N");
+        last = force;
+    }
+}
+
 #[test]
 fn a_lowered_tool_speed_takes_effect_at_once() {
     let (_, mut controller, mut target) = make(Settings { max_tool_speed: [f64::INFINITY; 2], ..Settings::default() });

@@ -4,10 +4,12 @@ mod command;
 mod diagnostics;
 mod input;
 mod payload_ramp;
+mod reference_restart;
 mod snapshot;
 mod state;
 mod step;
 
+use std::mem::replace;
 use std::sync::Arc;
 
 use nalgebra::{DMatrix, DVector};
@@ -36,6 +38,7 @@ pub use snapshot::Snapshot;
 
 use input::Input;
 use payload_ramp::{PayloadRamp, mass_moment};
+use reference_restart::{Rules, restart_reference};
 use state::State;
 use step::{PlainStep, Step};
 
@@ -162,8 +165,10 @@ impl Controller {
         let (n, batch) = (self.params.n, self.batch(input));
         let count = batch.check(&out)?;
         let dt = self.period(input.dt)?;
-        let changed =
-            state.as_ref().and_then(|state| state.settings.as_deref()).is_some_and(|old| old != &self.settings);
+        let before = state.as_ref().and_then(|state| state.settings.clone()).filter(|old| **old != self.settings);
+        let changed = before.is_some();
+        // `None` also if the settings of the last step do not fit this arm.
+        let before = before.and_then(|old| Some((self.params_of(&old)?, old)));
         let rows = state.as_mut().map(|state| state.rows_of(n, count)).transpose()?;
         let is_checked = rows.is_some() && input.invalid == OnInvalid::Error;
         if let Some(rows) = &rows
@@ -194,6 +199,9 @@ impl Controller {
                 RowStatus::Reset(q) => arm.reset(q).is_ok(),
             };
             if changed {
+                if let Some((params, settings)) = &before {
+                    arm.restart_reference(Rules { params, settings });
+                }
                 arm.reset_dependent_state();
             }
             if !(is_ready && arm.step_row(one, dt, false, out)) {
@@ -226,6 +234,10 @@ impl Controller {
 
     /// Replaces the settings while running. Goals and torque limits continue from their present values, rate-limited.
     ///
+    /// If an axis would exert more force at its present deviation than before, e.g. because it becomes stiff, its
+    /// reference restarts nearer to the tool, where the force is unchanged. From there it approaches the target at no
+    /// more than `max_tool_speed`, as after a step of the target. Without this limit there is no reference.
+    ///
     /// # Errors
     /// As [`Controller::new`]; the controller is then unchanged.
     pub fn update(&mut self, settings: Settings) -> Result<()> {
@@ -250,8 +262,8 @@ impl Controller {
             self.delay = settings.delay;
         }
         params.set_delay(self.delay, &settings);
-        self.settings = settings;
-        self.params = params;
+        let (settings, params) = (replace(&mut self.settings, settings), replace(&mut self.params, params));
+        self.restart_reference(Rules { params: &params, settings: &settings });
         self.reset_dependent_state();
         Ok(())
     }
@@ -590,6 +602,26 @@ impl Controller {
             .posture
             .as_ref()
             .map_or(Ok(()), |posture| self.positions("null_space.posture", posture).map(|_| ()))
+    }
+
+    /// Returns the parameters of this arm with the settings `old` of an earlier step; `None` if they do not fit it.
+    fn params_of(&self, old: &Settings) -> Option<Params> {
+        let mut stats = self.joint_space_stats.clone();
+        let mut params =
+            Params::new(&self.model, old, self.servos.as_ref(), self.captured.is_some(), &mut stats).ok()?;
+        let delay = if old.delay.to_bits() == self.settings.delay.to_bits() { self.delay } else { old.delay };
+        params.set_delay(delay, old);
+        Some(params)
+    }
+
+    /// Moves the reference of a running arm toward the tool along the axes that the present settings make firmer than
+    /// those `before`.
+    fn restart_reference(&mut self, before: Rules<'_>) {
+        if self.state.started && self.params.features.tool_speed {
+            let arm = (self.model.chain(), self.simd_level, &self.state.filter.backlash_output);
+            let now = Rules { params: &self.params, settings: &self.settings };
+            restart_reference(arm, (before, now), &mut self.state.governor);
+        }
     }
 
     /// Resets the parts of the state that depend on the previous settings.
