@@ -76,13 +76,33 @@ def test_a_wrong_stiffness_costs_lag_and_sag_only(kp):
     assert others < math.radians(6.0)  # the wrong stiffness makes the arm sag
 
 
-def push_tool(axis, force, max_force):
+@pytest.mark.slow
+@pytest.mark.parametrize("frequency", [0.5, 1.0, 3.0])
+@pytest.mark.parametrize("name", ["so101", "koch"])
+def test_a_target_that_jumps_to_and_fro_keeps_the_speed_limit(name, frequency):
+    """A target of a policy, near the frequency at which a servo's stiffness lets the arm swing."""
+    for joints in ([0, 1, 2, 3], [2]):
+        with connect(name, table=False) as arm:
+            follower = JointFollower(arm.model, arm.servos, max_force=4.0)
+            start = arm.read().q.copy()
+            speeds = []
+            for tick in pliant.Loop(arm, follower, rate=100.0, duration=4.0):
+                target = start.copy()
+                phase = 2 * math.pi * frequency * tick.time + np.array(joints)
+                target[joints] += 0.5 * np.sign(np.sin(phase))
+                tick.step(target)
+                twist = arm.drive.plant.ground_truth.frame("tool").twist()
+                speeds.append(np.linalg.norm(twist[:3]))
+        assert 0.3 < max(speeds) < 1.2 * 0.6 + 0.02
+
+
+def push_tool(axis, force, max_force, name="so101"):
     """Push the tool for 1.5 s; return its motion.
 
     Returns:
         Largest and last displacement [m], and largest speed after the push [m/s].
     """
-    with connect("so101", table=False) as arm:
+    with connect(name, table=False) as arm:
         model, plant = arm.model, arm.drive.plant
         push = np.zeros(3)
         push[axis] = force
@@ -112,6 +132,14 @@ def test_a_push_above_the_force_and_friction_moves_the_arm(axis):
     assert largest > 1.5 * stiff_yielded
     assert final < 0.01
     assert speed < 1.2 * 0.6 + 0.02
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("axis", "force"), [(0, -6.0), (2, 6.0), (2, -6.0)])
+def test_a_light_arm_returns_at_the_speed_limit(axis, force):
+    _, final, speed = push_tool(axis, force, 2.0, "koch")
+    assert final < 0.01
+    assert 0.3 < speed < 1.2 * 0.6 + 0.02
 
 
 @pytest.mark.slow

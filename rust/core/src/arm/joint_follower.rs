@@ -14,8 +14,8 @@
 //! ```
 //!
 //! The clip keeps the reference no farther from the joint than the torque f requires, so an arm that was held back
-//! starts to return immediately. The clip in the direction of motion narrows near the speed limits, because a soft
-//! servo stores energy in its lead. For a joint that moves the tool point little, such as the roll of a wrist, the
+//! starts to return immediately. The clip in the direction of motion narrows as the speed that the joints will have when
+//! the goal acts comes near the limits, because a soft servo stores energy in its lead. For a joint that moves the tool point little, such as the roll of a wrist, the
 //! force acts at the lever l.
 
 use std::sync::Arc;
@@ -40,10 +40,12 @@ const SPEED_FILTER: f64 = 0.03;
 const LEVER: f64 = 0.1;
 /// Time constant of the low-pass of the measured joint speeds [s].
 const MEASURED_SPEED_FILTER: f64 = 0.02;
+/// Time steps from a motion until a changed goal acts on it: reading, sending, and the servo's response.
+const REACTION_STEPS: f64 = 3.0;
 /// Share of the speed limits above which the lead that accelerates the arm decreases.
-const FADE_FROM: f64 = 0.8;
+const FADE_FROM: f64 = 0.7;
 /// Share of the speed limits at which the lead that accelerates the arm is 0.
-const FADE_TO: f64 = 1.2;
+const FADE_TO: f64 = 1.1;
 /// Largest time step of one call [s]; a longer `dt` is clamped to it.
 const LONGEST_STEP: f64 = 0.1;
 
@@ -96,6 +98,8 @@ pub struct JointFollower {
     speed: JointVec,
     /// Low-passed measured speeds of the joints [rad/s].
     measured_speed: JointVec,
+    /// Speeds of the joints at the time at which the next goal acts, if their acceleration continues [rad/s].
+    predicted_speed: JointVec,
     /// Positions in the last step [rad]; `None` before the first step.
     last_q: Option<JointVec>,
 }
@@ -128,6 +132,7 @@ impl JointFollower {
             reference: None,
             speed: [0.0; MAX_JOINTS],
             measured_speed: [0.0; MAX_JOINTS],
+            predicted_speed: [0.0; MAX_JOINTS],
             last_q: None,
         })
     }
@@ -154,6 +159,7 @@ impl JointFollower {
     pub fn reset(&mut self, q: &[f64]) -> Result<()> {
         self.reference = Some(finite_joint_vector("q", self.n, q)?);
         (self.speed, self.measured_speed, self.last_q) = ([0.0; MAX_JOINTS], [0.0; MAX_JOINTS], None);
+        self.predicted_speed = [0.0; MAX_JOINTS];
         Ok(())
     }
 
@@ -198,21 +204,25 @@ impl JointFollower {
         Ok(Command::new(self.n, goal, limit, [self.options.max_joint_speed; MAX_JOINTS]))
     }
 
-    /// Updates the low-passed measured speeds of the joints.
+    /// Updates the low-passed measured speeds of the joints, and the predicted ones.
     fn update_measured_speed(&mut self, q: &JointVec, dt: f64) {
         let last = self.last_q.unwrap_or(*q);
+        // The low-pass delays a steady acceleration by its time constant.
+        let ahead = MEASURED_SPEED_FILTER + REACTION_STEPS * dt;
         for i in 0..self.n {
             let rate = (q[i] - last[i]) / dt;
-            self.measured_speed[i] += (rate - self.measured_speed[i]) * dt / (MEASURED_SPEED_FILTER + dt);
+            let change = (rate - self.measured_speed[i]) * dt / (MEASURED_SPEED_FILTER + dt);
+            self.measured_speed[i] += change;
+            self.predicted_speed[i] = self.measured_speed[i] + change * ahead / dt;
         }
     }
 
     /// Returns the factor on a lead that accelerates the arm: 1 up to `FADE_FROM` of the speed limits, 0 from `FADE_TO`
     /// on.
     fn lead_fade(&self, rows: &Rows) -> f64 {
-        let fastest = self.measured_speed.iter().fold(0.0_f64, |max, speed| max.max(speed.abs()));
+        let fastest = self.predicted_speed.iter().fold(0.0_f64, |max, speed| max.max(speed.abs()));
         let ratio = (fastest / self.options.max_joint_speed)
-            .max(self.tool_path(rows, &self.measured_speed) / self.options.max_tool_speed);
+            .max(self.tool_path(rows, &self.predicted_speed) / self.options.max_tool_speed);
         ((FADE_TO - ratio) / (FADE_TO - FADE_FROM)).clamp(0.0, 1.0)
     }
 
