@@ -14,9 +14,9 @@
 //! ```
 //!
 //! The clip keeps the reference no farther from the joint than the torque f requires, so an arm that was held back
-//! starts to return immediately. The clip in the direction of motion narrows as the speed that the joints will have when
-//! the goal acts comes near the limits, because a soft servo stores energy in its lead. For a joint that moves the tool point little, such as the roll of a wrist, the
-//! force acts at the lever l.
+//! starts to return immediately. The clip in the direction of motion narrows as the speed that the joints will have
+//! when the goal acts comes near the limits, because a soft servo stores energy in its lead. For a joint that moves the
+//! tool point little, such as the roll of a wrist, the force acts at the lever l.
 
 use std::sync::Arc;
 
