@@ -79,8 +79,13 @@ def compiler() -> str:
 
 
 def build() -> Path:
-    """Build the Rust program `counts` in release mode, like the wheel; return its path."""
-    command = ["cargo", "build", "--release", "-p", "pliant-benches", "--bin", "counts"]
+    """Build the Rust program `counts` in release mode, like the wheel; return its path.
+
+    `pliant-py` is named for its features only: with those of the benches alone, cargo would build
+    nalgebra, pliant-core and others a second time.
+    """
+    command = ["cargo", "build", "--release", "-p", "pliant-benches", "-p", "pliant-py"]
+    command += ["--bin", "counts"]
     command += ["--message-format=json", "--quiet", *(["--locked"] if os.environ.get("CI") else [])]
     result = subprocess.run(command, cwd=ROOT, stdout=subprocess.PIPE, text=True, check=True)
     for line in result.stdout.splitlines():
