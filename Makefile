@@ -24,6 +24,8 @@ export PYO3_PYTHON := $(CURDIR)/$(BIN)/python
 export MUJOCO_GL ?= egl
 export MPLBACKEND ?= Agg
 export OMP_NUM_THREADS ?= 1
+# Hundreds of programs start Python: without stored bytecode each would compile the package again.
+unexport PYTHONDONTWRITEBYTECODE
 export PIP_ROOT_USER_ACTION := ignore
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
@@ -113,7 +115,8 @@ $(WHEELS)/.built: | counts-check
 docs: | test-rust
 endif
 
-# The packages whose targets are tested: none that links Python.
+# The packages whose targets are tested: none that links Python. All steps name both, because cargo unites the features
+# that they need, and builds crates again for other features.
 TESTED := --package pliant-core --package pliant-benches
 
 test-rust: $(BIN)/python ## Tests of the Rust core, its doc tests and its pages
@@ -125,11 +128,11 @@ test-rust: $(BIN)/python ## Tests of the Rust core, its doc tests and its pages
 	  cargo test $(LOCKED) --quiet --no-fail-fast $(TESTED) --all-targets; \
 	fi
 	$(call say,programs of the Rust core)
-	@cargo build $(LOCKED) --quiet --profile test --examples -p pliant-core
+	@cargo build $(LOCKED) --quiet --profile test --examples $(TESTED)
 	@for program in rust/core/examples/*.rs; do \
 	  "$${CARGO_TARGET_DIR:-target}/debug/examples/$$(basename "$$program" .rs)" >/dev/null; done
 	$(call say,doc tests)
-	@cargo test $(LOCKED) --quiet --doc
+	@cargo test $(LOCKED) --quiet --doc $(TESTED)
 	$(call say,pages of the Rust core)
 	@RUSTDOCFLAGS='-D warnings' cargo doc $(LOCKED) --quiet --no-deps
 

@@ -20,6 +20,7 @@ import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 ROOT = Path(__file__).resolve().parents[1]
 STORED = ROOT / "benches" / "counts.json"
@@ -78,8 +79,13 @@ def compiler() -> str:
 
 
 def build() -> Path:
-    """Build the Rust program `counts` in release mode, like the wheel; return its path."""
-    command = ["cargo", "build", "--release", "-p", "pliant-benches", "--bin", "counts"]
+    """Build the Rust program `counts` in release mode, like the wheel; return its path.
+
+    `pliant-py` is named for its features only: with those of the benches alone, cargo would build
+    nalgebra, pliant-core and others a second time.
+    """
+    command = ["cargo", "build", "--release", "-p", "pliant-benches", "-p", "pliant-py"]
+    command += ["--bin", "counts"]
     command += ["--message-format=json", "--quiet", *(["--locked"] if os.environ.get("CI") else [])]
     result = subprocess.run(command, cwd=ROOT, stdout=subprocess.PIPE, text=True, check=True)
     for line in result.stdout.splitlines():
@@ -97,15 +103,17 @@ def count_all(binary: Path) -> Counts:
     """
     output = subprocess.run([binary, "--stages"], capture_output=True, text=True, check=True).stdout
     stages = [line.rsplit(" ", 1) for line in output.splitlines()]
+    # Count the code paths at the same time: counts do not depend on other processes.
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        totals = list(pool.map(lambda path: count(binary, path), PATHS))
     counts: Counts = {}
-    for path in PATHS:
-        # Run one valgrind per core at the same time: counts do not depend on other processes.
-        with ThreadPoolExecutor(os.cpu_count()) as pool:
-            totals = pool.map(lambda stage, path=path: count(binary, stage[0], path), stages)
-            found = {
-                name: total / int(states)
-                for (name, states), total in zip(stages, totals, strict=True)
-            }
+    for path, of_stages in zip(PATHS, totals, strict=True):
+        if len(of_stages) != len(stages):
+            raise Skip(f"valgrind counted {len(of_stages)} stages of {len(stages)}")
+        found = {
+            name: total / int(states)
+            for (name, states), total in zip(stages, of_stages, strict=True)
+        }
         is_equal = (
             all(abs(found[s] / other[s] - 1.0) < 5e-3 for s in found) for other in counts.values()
         )
@@ -114,24 +122,30 @@ def count_all(binary: Path) -> Counts:
     return counts
 
 
-def count(binary: Path, stage: str, path: str) -> int:
-    """Run a stage once for each state under valgrind; return the number of instructions.
+def count(binary: Path, path: str) -> list[int]:
+    """Run all stages under valgrind; return the number of instructions of each, in their order.
 
-    Only instructions inside the bench's function `counted` count.
+    Only instructions inside the bench's function `counted` count. It runs once for each stage, and
+    callgrind writes a file after each run: starting a process for each stage would take 17 times as
+    long.
 
     Args:
         binary: Path of the bench.
-        stage: Name of the stage.
         path: Code path (instruction set).
     """
-    command = ["valgrind", "--tool=callgrind", "--callgrind-out-file=/dev/null"]
-    command += ["--toggle-collect=*counted*", str(binary), stage]
-    environment = {**os.environ, "PLIANT_INSTRUCTIONS": path}
-    result = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
-    match = re.search(r"Collected\s*:\s*(\d+)", result.stderr)
-    if result.returncode or match is None or int(match.group(1)) == 0:
-        raise Skip(f"valgrind counted nothing in {stage!r}: {result.stderr[-400:]}")
-    return int(match.group(1))
+    with TemporaryDirectory() as folder:
+        command = ["valgrind", "--tool=callgrind", f"--callgrind-out-file={folder}/counts"]
+        command += ["--toggle-collect=counts::counted", "--dump-after=counts::counted", str(binary)]
+        environment = {**os.environ, "PLIANT_INSTRUCTIONS": path}
+        result = subprocess.run(
+            command, capture_output=True, text=True, check=False, env=environment
+        )
+        files = sorted(Path(folder).glob("counts.*"), key=lambda file: int(file.suffix[1:]))
+        matches = [re.search(r"^summary: (\d+)$", f.read_text(), re.MULTILINE) for f in files]
+    totals = [int(match.group(1)) if match else 0 for match in matches]
+    if result.returncode or not totals or 0 in totals:
+        raise Skip(f"valgrind counted nothing on path {path}: {result.stderr[-400:]}")
+    return totals
 
 
 def regressions(counts: Counts, stored: Counts) -> list[str]:

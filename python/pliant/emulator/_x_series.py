@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import math
+from functools import cache
+from typing import TYPE_CHECKING
 
 from pliant.emulator.servo import BIT_OVERLOAD, OFF, Drive, Servo
+
+if TYPE_CHECKING:
+    from pliant.emulator.control_tables import Table
 
 FAIL, INSTRUCTION, CRC, RANGE, LENGTH, LIMIT, ACCESS = range(1, 8)
 ALERT = 0x80
@@ -19,6 +24,17 @@ _RPM = 0.229 * 2.0 * math.pi / 60.0
 _GOALS = ("goal_pwm", "goal_current", "goal_velocity", "goal_position")
 _GAINS = ("position_p_gain", "position_i_gain", "position_d_gain", "velocity_p_gain",
           "velocity_i_gain", "feedforward_1st_gain", "feedforward_2nd_gain")  # fmt: skip
+
+
+@cache
+def indirections(table: Table) -> dict[int, str]:
+    """Return the register with the address that an indirect data byte refers to, by its address."""
+    return {
+        byte: f"indirect_address_{register.name[14:]}"
+        for register in table
+        if register.name.startswith("indirect_data_")
+        for byte in range(register.address, register.address + register.size)
+    }
 
 
 class XServo(Servo):
@@ -91,15 +107,13 @@ class XServo(Servo):
 
     def resolve(self, address: int, length: int) -> list[int]:
         """Return the address of each byte; for an indirect data byte, the address it refers to."""
-        addresses: list[int] = []
-        for byte in range(address, address + length):
-            register = self.table.at(byte)
-            if register is not None and register.name.startswith("indirect_data_"):
-                target = self.get(f"indirect_address_{register.name[14:]}")
-                addresses.append(target if self.table.at(target) else byte)
-            else:
-                addresses.append(byte)
-        return [min(byte, self.table.size - 1) for byte in addresses]
+        addresses, last = range(address, address + length), self.table.size - 1
+        pointers = indirections(self.table)
+        if not pointers.keys().isdisjoint(addresses):
+            targets = [self.get(pointers[b]) if b in pointers else b for b in addresses]
+            pairs = zip(targets, addresses, strict=True)
+            return [min(to if self.table.at(to) else byte, last) for to, byte in pairs]
+        return [min(byte, last) for byte in addresses]
 
     def check_read(self, address: int, length: int) -> int:
         """Return 0, or the access error for bytes beyond the table; gaps in it read as 0."""

@@ -149,6 +149,16 @@ class ArmPhysics:
     def bind(self, servos: Sequence[Servo]) -> None:
         """Connect the servos, in the order of the mounts; set their shafts to the arm's pose."""
         self._joints: dict[str, list[Coupling]] = {}
+        # MuJoCo's indices of position, speed and actuator of each joint: a look-up by name is slow.
+        model = self.plant.mj_model
+        self._addresses = {
+            mount.joint: (
+                int(model.joint(mount.joint).qposadr[0]),
+                int(model.joint(mount.joint).dofadr[0]),
+                int(model.actuator(mount.joint).id),
+            )
+            for mount in self.mounts
+        }
         rest = iter(servos)
         for mount in self.mounts:
             couplings = []
@@ -237,29 +247,30 @@ class ArmPhysics:
             goal_torque += (
                 drive.stiffness * square * (coupling.reference - coupling.offset) / coupling.ratio
             )
-        model = self.plant.mj_model
-        model.dof_damping[model.joint(name).dofadr[0]] = damping
-        actuator = model.actuator(name)
-        actuator.gainprm[0], actuator.biasprm[1], actuator.biasprm[2] = stiffness, -stiffness, -kv
+        model, (position, dof, actuator) = self.plant.mj_model, self._addresses[name]
+        model.dof_damping[dof] = damping
+        model.actuator_gainprm[actuator, 0] = stiffness
+        model.actuator_biasprm[actuator, 1:3] = -stiffness, -kv
         total = sum(drive.ceiling for drive in drives)
         for coupling, drive in zip(couplings, drives, strict=True):
             coupling.share = drive.ceiling / total if total > 0.0 else 0.0
             coupling.slope = drive.slope
-        position = float(self.plant.mj_data.joint(name).qpos[0])
-        return (goal_torque / stiffness if stiffness > 0.0 else position), limit
+        if stiffness > 0.0:
+            return goal_torque / stiffness, limit
+        return float(self.plant.mj_data.qpos[position]), limit
 
     def _update_shafts(self) -> None:
         """Convert angle, speed and torque of the joints, and store them in the servos' shafts."""
-        plant = self.plant
+        plant, data = self.plant, self.plant.mj_data
         q, dq, torque = plant.q, plant.dq, plant.torque
         for name, couplings in self._joints.items():
             if name in self._chain:
                 i = self._chain.index(name)
                 angle, speed, effort = float(q[i]), float(dq[i]), float(torque[i])
             else:
-                joint = plant.mj_data.joint(name)
-                angle, speed = float(joint.qpos[0]), float(joint.qvel[0])
-                effort = float(plant.mj_data.actuator(name).force[0])
+                at, dof, actuator = self._addresses[name]
+                angle, speed = float(data.qpos[at]), float(data.qvel[dof])
+                effort = float(data.actuator_force[actuator])
             for coupling in couplings:
                 shaft = coupling.servo.shaft
                 shaft.angle = coupling.offset + coupling.ratio * angle

@@ -147,6 +147,11 @@ class Faults:
         """Return the injected fault of the next reply of servo `id`; None: no fault."""
         return self._take(id, KINDS[1:])
 
+    @property
+    def injected(self) -> bool:
+        """True if an injected fault may affect the next request or reply."""
+        return bool(self._injected)
+
     def _take(self, id: int, kinds: tuple[Kind, ...]) -> ActiveFault | None:
         self._injected = [fault for fault in self._injected if fault.count > 0]
         for fault in self._injected:

@@ -102,7 +102,7 @@ class SerialLine:
         if random_fault == "deaf":
             fault_names.append("deaf")
             listening = []
-        for servo in list(listening):
+        for servo in list(listening) if faults.injected else ():
             if frame.id in {BROADCAST, servo.id} and faults.deaf(servo.id):
                 fault_names.append(f"deaf {servo.id}")
                 listening.remove(servo)
@@ -117,7 +117,7 @@ class SerialLine:
             servo, packet = slot[0]
             for _, other in slot[1:]:
                 packet = collide(packet, other)
-            fault = faults.reply_fault(servo.id)
+            fault = faults.reply_fault(servo.id) if faults.injected else None
             if fault is None and index == faulty_index and random_fault is not None:
                 fault = ActiveFault(random_fault)
             if self.timing.wire:

@@ -5,13 +5,15 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from functools import cache
+from struct import Struct
 from typing import TYPE_CHECKING, ClassVar
 
 from pliant._core import ConfigError
 from pliant.emulator.log import Write
 
 if TYPE_CHECKING:
-    from pliant.emulator.control_tables import Register
+    from pliant.emulator.control_tables import Register, Table
     from pliant.emulator.models import Model
     from pliant.emulator.packets import Protocol
 
@@ -87,6 +89,29 @@ class Drive:
 
 OFF = Drive()
 
+#: Codes of `struct` for unsigned numbers by their size [byte].
+_CODES = {1: "B", 2: "H", 4: "I"}
+
+
+#: Code of the raw value of a register, its address, its smallest and largest value, and the value
+#: of the sign bit of sign and magnitude; 0 for other codings.
+Codec = tuple[Struct, int, int, int, int]
+
+
+@cache
+def codecs(table: Table) -> dict[str, Codec]:
+    """Return the codecs of the registers of a table by name; they code as `Register` does."""
+    result: dict[str, Codec] = {}
+    for register in table:
+        letter, span = _CODES[register.size], 1 << 8 * register.size
+        bit = 1 << register.sign if register.sign else 0
+        if register.sign == 0:
+            letter, low, high = letter.lower(), -span // 2, span // 2 - 1
+        else:
+            low, high = (1 - bit, bit - 1) if bit else (0, span - 1)
+        result[register.name] = (Struct("<" + letter), register.address, low, high, bit)
+    return result
+
 
 class Servo(ABC):
     """Emulated servo: registers, access rules and protections; one subclass per family.
@@ -122,7 +147,7 @@ class Servo(ABC):
             ConfigError: A register is unknown or in RAM, or its value does not fit.
         """
         self.model, self.table = model, model.table
-        self._fields = {r.name: (r.address, r.address + r.size, r.sign) for r in self.table}
+        self._codecs = codecs(self.table)
         self.memory = bytearray(self.table.size)
         self.stored = bytearray(self.table.size)
         middle = (model.max_position + 1) / 2 * model.count
@@ -157,17 +182,22 @@ class Servo(ABC):
 
     def get(self, name: str) -> int:
         """Return the present value of the register `name`."""
-        # Decode unsigned registers without `Table`: this runs thousands of times a second.
-        start, stop, sign = self._fields[name]
-        raw = int.from_bytes(self.memory[start:stop], "little")
-        return raw if sign is None else self.table[name].decode(self.memory[start:stop])
+        # Decode without `Register`: this runs thousands of times a second.
+        code, address, _, _, bit = self._codecs[name]
+        raw: int = code.unpack_from(self.memory, address)[0]
+        if bit:
+            return -(raw & (bit - 1)) if raw & bit else raw & (bit - 1)
+        return raw
 
     def put(self, name: str, value: float) -> None:
         """Set a register without access checks; the value is rounded and clipped to its range."""
-        register = self.table[name]
-        self.memory[register.address : register.address + register.size] = register.encode(
-            round(value)
-        )
+        try:
+            code, address, low, high, bit = self._codecs[name]
+        except KeyError:
+            _ = self.table[name]  # raises an error that lists the registers
+            raise
+        number = max(low, min(round(value), high))
+        code.pack_into(self.memory, address, bit - number if bit and number < 0 else number)
 
     def _store(self, register: Register, value: int) -> None:
         data = register.encode(value)

@@ -112,6 +112,12 @@ class ServoBank:
         self._qpos = np.array([joint.qposadr[0] for joint in joints])
         self._dof = np.array([joint.dofadr[0] for joint in joints])
         self._servo = np.array([model.actuator(name).id for name in built.chain])
+        first = int(self._servo[0])
+        is_block = bool((np.diff(self._servo) == 1).all())
+        # A slice of neighbours is read in a fraction of the time of an array of indices.
+        self._torques: slice | NDArray[np.int_] = self._servo
+        if is_block:
+            self._torques = slice(first, first + self._servo.size)
         self.held = {
             name: (rest, float(model.actuator(name).forcerange[1]))
             for name, rest in built.held.items()
@@ -195,7 +201,7 @@ class ServoBank:
 
     def count(self) -> None:
         """Add the servo torques of a physics step to the sum for the mean of the control period."""
-        self._sum += self._data.actuator_force[self._servo]
+        self._sum += self._data.actuator_force[self._torques]
         self._steps += 1
 
     def close(self) -> None:

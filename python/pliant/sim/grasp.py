@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
 
@@ -117,15 +118,16 @@ class GraspedObject(Fixture):
             return
         first = self._first_row(data)
         rows = data.efc_force[first : first + self._rows]
-        self.pull = rows[:3].copy()
-        self.force = float(np.sqrt(rows[:3] @ rows[:3]))
+        self.pull = pull = rows[:3].copy()
+        self.force = math.sqrt(pull @ pull)
         is_settled = data.time > SETTLE
         if is_settled:
             self.peak_force = max(self.peak_force, self.force)
         if self._rows > 3:
             # Halve the constraint force: it is twice the torque, because the error of a MuJoCo weld
             # is half the rotation vector.
-            self.torque = 0.5 * float(np.sqrt(rows[3:] @ rows[3:]))
+            turn = rows[3:]
+            self.torque = 0.5 * math.sqrt(turn @ turn)
             if is_settled:
                 self.peak_torque = max(self.peak_torque, self.torque)
 

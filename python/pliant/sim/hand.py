@@ -7,6 +7,7 @@ axes at one point of the arm. A hand has no state; the plant records the force o
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol
 
@@ -65,8 +66,8 @@ class AppliedForce:
         """Add force (3,) [N] and torque (3,) [N·m] of one physics step, and update the peaks."""
         self.force += force
         self.torque += torque
-        self.peak_force = max(self.peak_force, float(np.sqrt(force @ force)))
-        self.peak_torque = max(self.peak_torque, float(np.sqrt(torque @ torque)))
+        self.peak_force = max(self.peak_force, math.sqrt(force @ force))
+        self.peak_torque = max(self.peak_torque, math.sqrt(torque @ torque))
 
     def end(self, steps: int) -> None:
         """End a control period of `steps` physics steps: divide the sums, which gives the means."""
