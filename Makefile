@@ -39,8 +39,10 @@ ifneq ($(strip $(CI)),)
 LOCKED := --locked
 NEXTEST_PROFILE := --profile ci
 export CARGO_INCREMENTAL := 0
-# A wheel for others names no folder of its builder.
-export CARGO_BUILD_RUSTFLAGS := --remap-path-prefix=$(or $(CARGO_HOME),$(HOME)/.cargo)/registry/src= --remap-path-prefix=$(CURDIR)=
+# A wheel for others names no folder of its builder. Where the linker can, it has equal functions and texts once only.
+FOLD := -Clink-arg=-Wl,--icf=all,-O2
+CAN_FOLD := $(shell file=$$(mktemp); echo 'fn main() {}' | rustc $(FOLD) -o "$$file" - 2>/dev/null && echo yes; rm -f "$$file")
+export CARGO_BUILD_RUSTFLAGS := --remap-path-prefix=$(or $(CARGO_HOME),$(HOME)/.cargo)/registry/src= --remap-path-prefix=$(CURDIR)= $(if $(CAN_FOLD),$(FOLD))
 endif
 
 WHEELS := build/wheels
