@@ -136,6 +136,6 @@ pub(super) fn restart_reference(
         let [x, y, z, roll, pitch, yaw] = task_to_base(&to.base_from_task, &error);
         let position = std::array::from_fn(|i| tool.position[i] + [x, y, z][i]);
         let rotation = multiply::<BaselineF64>(&rotation_matrix([roll, pitch, yaw]), &tool.rotation);
-        governor.set(Pose { position, rotation }, governor.reference_velocity());
+        governor.set(Pose { rotation, position }, governor.reference_velocity());
     }
 }
