@@ -582,14 +582,12 @@ class Loop:
         Warns:
             RuntimeWarning: The goals do not carry the arm.
         """
-        if self._first_steps is None or tick.index % WATCHED:
-            return
         lead = float(np.abs(command.goal - tick.q).max())
         bounds = [self._goal_slew * min(dt, LONGEST_SLEW) for dt in (tick.dt, self.period)]
         if not any(abs(lead - bound) < 1e-6 * bound for bound in bounds):
             self._first_steps = 0
             return
-        self._first_steps += 1
+        self._first_steps = (self._first_steps or 0) + 1
         if self._first_steps < FIRST_STEPS:
             return
         self._first_steps = None
@@ -608,7 +606,8 @@ class Loop:
         """Check a command; send it and return True, or count it as rejected and return False."""
         arm, clock = self._arm, self._clock
         if isinstance(command, Command):
-            self._watch_first_steps(tick, command)
+            if self._first_steps is not None and tick.index % WATCHED == 0:
+                self._watch_first_steps(tick, command)
             goal, limit, speed = command.goal, command.torque_limit, command.speed_limit
         elif hasattr(command, "goal") and hasattr(command, "torque_limit"):
             goal = vector(arm.model, command.goal, "goal", finite=False)
