@@ -542,7 +542,7 @@ def test_a_servo_that_restarts_while_torque_comes_on_is_named(family, monkeypatc
 
 @pytest.mark.parametrize("is_same", [True, False])
 def test_a_gripper_with_torque_does_not_let_go_as_the_arm_is_taken_over(is_same):
-    """The same program, or another one, enables an arm that was left on."""
+    """An arm that was left on is enabled by the same program or by another one."""
     with arm_over_bytes("sts", LOW) as (bus, first):
         arm = first
         arm.enable()
