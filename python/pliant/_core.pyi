@@ -1,22 +1,39 @@
 """Compiled part of `pliant`. Shapes: n joints of the chain, k task axes, N rows of a batch."""
 
 import sys
-from collections.abc import Mapping, Sequence
+import threading
+from collections.abc import Callable, Mapping, Sequence
 from os import PathLike
 from types import MappingProxyType
-from typing import Any, Final, Literal, Protocol, TypeAlias, TypedDict, Unpack, final, overload
+from typing import (
+    Any,
+    Final,
+    Literal,
+    Protocol,
+    Self,
+    TypeAlias,
+    TypedDict,
+    Unpack,
+    final,
+    overload,
+)
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from pliant.drive import Clock, Drive, ServoStatus
 
 __version__: Final[str]
 
 __all__ = [
     "SUPPORT",
+    "ArmCycle",
     "ArmPoints",
     "Axis",
     "AxisReport",
     "BatchState",
+    "BusCycle",
+    "BusStatus",
     "Command",
     "CommandLimiter",
     "Compensation",
@@ -24,6 +41,7 @@ __all__ = [
     "ContactEstimator",
     "Controller",
     "Diagnostics",
+    "ExclusiveAccess",
     "FeasibilityReport",
     "FrameNotFoundError",
     "HandGuidingLaw",
@@ -43,6 +61,7 @@ __all__ = [
     "PaperOptions",
     "Payload",
     "PliantError",
+    "PortState",
     "Pose",
     "PoseReport",
     "PositionFilter",
@@ -3447,6 +3466,256 @@ class ServoCodec:
 
         Unless `position` [counts] is NaN, store it with turns and time [s] as the last reading.
         """
+
+class PortState:
+    """State of the requests on one serial port, of which `TransactionGuard` makes the most.
+
+    Attributes:
+        is_dirty: True if the last request has failed, so that the line must be drained.
+        is_gone: True if the port has vanished; every request then fails immediately.
+        is_relaxed: True outside of control cycles.
+        deadline: Time at which the control cycle ends [s].
+        transactions: Number of requests sent.
+        missing: Missing replies by servo id, see `PendingReplies`.
+        clock: Function that returns the time for timeouts [s].
+        sample_clock: Function that returns the time of readings [s].
+    """
+
+    is_dirty: bool
+    is_gone: bool
+    is_relaxed: bool
+    deadline: float
+    transactions: int
+    clock: Callable[[], float]
+    sample_clock: Callable[[], float]
+    def __new__(cls, *_args: Any, **_options: Any) -> Self: ...
+    @property
+    def missing(self) -> dict[int, Any]: ...
+
+@final
+class BusStatus:
+    """What is known of the status registers of the servos on a bus.
+
+    Results that depend on them stay valid while the numbers of changes are the same.
+
+    Args:
+        matched: For each servo, last time at which a reading of all servos showed that its status
+            registers were as written [s].
+        is_new: For each servo, see `has_new`; None: False.
+        torque_changes: Number of changes of `Device.enabled`.
+        changes: Number of changes of torque, status or faults.
+        next_step: Next step of `StatusPoller`.
+    """
+
+    torque_changes: int
+    changes: int
+    next_step: int
+    def __new__(
+        cls,
+        matched: Sequence[float],
+        is_new: Sequence[bool] | None = None,
+        torque_changes: int = 0,
+        changes: int = 0,
+        next_step: int = 0,
+    ) -> BusStatus: ...
+    def __getnewargs__(self) -> tuple[list[float], list[bool], int, int, int]: ...
+    def has_new(self, servo: int) -> bool:
+        """Return True if a reading contained the status and `StatusPoller` has not taken it."""
+
+    def set_new(self, servo: int, is_new: bool) -> None:
+        """Set the value of `has_new`."""
+
+    def matched(self, servo: int) -> float:
+        """Return the last time at which the status registers of a servo were as written [s]."""
+
+class BusCycle:
+    """Control cycle of a servo bus: each request in one call while nothing needs attention.
+
+    Otherwise the methods `_read_each`, `_write_each`, `_poll_each`, `_finish_read` and
+    `_finish_write` of the subclass act.
+    """
+
+    def __new__(cls, *_args: Any, **_options: Any) -> Self: ...
+    def read(self) -> JointReadings:
+        """Read all joints; a joint without a reply has `ok` False and keeps its last position.
+
+        Raises:
+            ServoError: All ports are gone. If only some ports are gone, their joints have a fault.
+        """
+
+    def write(self, goal: ArrayLike, limit: ArrayLike, velocity: ArrayLike | None = None) -> None:
+        """Send goal and limit of all enabled joints, in one packet per port and kind of servo.
+
+        Args:
+            goal: Joint goals (n,) [rad]; clamped to the joint's range.
+            limit: Torque limits (n,) [N·m], at least 0; rounded down to the register, clamped to
+                the servo's ceiling.
+            velocity: Largest joint speeds (n,) [rad/s], at least 0; the argument `speed` of the bus
+                bounds them, and is the default.
+
+        Raises:
+            ShapeError, ConfigError: A vector is not (n,), or a number is not finite or negative,
+                also of a joint that is not enabled. Nothing is sent.
+            ServoError: All ports are gone. Other packets that cannot be sent are counted, and the
+                last goal and limit stay in force.
+        """
+
+    def poll_status(self) -> ServoStatus | None:
+        """Read status registers of one servo, in turn.
+
+        Return voltage, temperature and faults of its joint as last read; None if no reply came, or
+        if the torque state of a port's servos was read instead. Call this method once per cycle,
+        after `read` and `write`.
+
+        Raises:
+            ServoError: All ports are gone.
+        """
+
+    def end_cycles(self) -> None:
+        """Forget how to read, write and poll; the methods of the subclass act from now on."""
+
+    if sys.platform != "win32":
+        def set_reading(
+            self,
+            port: PortState,
+            status: BusStatus,
+            group: ServoGroup,
+            misses: dict[int, int],
+            blocks: tuple[tuple[int, int], tuple[int, int]],
+            timeouts: tuple[float, float],
+            last: int,
+            longest: float,
+            budget: float,
+        ) -> None:
+            """Set how to read all servos with one request, and forget how to write and poll.
+
+            Args:
+                port: State of the port.
+                status: What is known of the servos' status.
+                group: All servos of the bus.
+                misses: Numbers of missed readings of silent servos.
+                blocks: Address and size of the registers of a reading, without and with status.
+                timeouts: Timeouts of the two requests [s].
+                last: Servo whose status is taken last.
+                longest: Age of the last readings above which new ones are not stored [s].
+                budget: Time after which a cycle makes no further request [s].
+            """
+
+        def set_writing(
+            self,
+            group: ServoGroup,
+            blocks: Sequence[tuple[int, int]],
+            timeouts: tuple[float, float],
+            max_speed: float,
+            torque_changes: int,
+        ) -> None:
+            """Set how to write, as long as `BusStatus.torque_changes` has this value.
+
+            Args:
+                group: All servos of the bus.
+                blocks: Address and size of each packet.
+                timeouts: Timeouts of a packet in a control cycle and outside [s].
+                max_speed: Upper bound of the speeds [rad/s].
+                torque_changes: The present value of `BusStatus.torque_changes`.
+            """
+
+        def set_polling(self, steps: Sequence[tuple[int, ServoStatus]], changes: int) -> None:
+            """Set servo and status of each step, as long as `BusStatus.changes` has this value."""
+
+class ExclusiveAccess:
+    """Lock of an arm, and the time of the last access to it.
+
+    As a context, it is held during one access to the drive. The method `check` of the subclass is
+    called, before and after the lock is taken, if `reason` is set; and before, in a forked process.
+
+    Args:
+        lock: Lock that the thread with access to the drive holds.
+        not_forked: Memory whose first byte is 0 in a forked process.
+
+    Attributes:
+        reason: Reason for which no access is possible; None: it is.
+        last_call: Time of the end of the last access [s].
+        heartbeat: Memory of two times [s], see `Supervisor`.
+    """
+
+    reason: str | None
+    last_call: float
+    def __new__(cls, lock: Any, not_forked: Any) -> Self: ...
+    @property
+    def lock(self) -> threading.RLock: ...
+    @property
+    def heartbeat(self) -> memoryview[float]: ...
+    @heartbeat.setter
+    def heartbeat(self, memory: memoryview[float]) -> None: ...
+    def __enter__(self) -> None:
+        """Take the lock for one access to the drive."""
+
+    def __exit__(self, *_exception: object) -> None:
+        """Note the time, and release the lock."""
+
+class ArmCycle:
+    """Readings and commands of all N joints of a drive, as far as every control cycle needs them.
+
+    The subclass `ArmIO` has the methods for what is rare.
+
+    Attributes:
+        drive: The drive.
+        clock: Its clock.
+        limiter: Limits of commands.
+        positions: Filter with the last plausible positions.
+        readings: Last reading of all joints.
+        goals: Last goals (N,) [rad].
+        limits: Last torque limits (N,) [N·m].
+        is_sent: True once goals and limits were sent.
+        orders: Last goal [rad] and limit [N·m] of each joint off the chain, by name.
+        reported: Faults that the servos report, by name of the joint.
+        ramp_start, ramp_time: Start and duration of the ramp of the torque limits [s].
+        min_limit: Lower bound of that ramp at its start (n,) [N·m].
+        watchdog_time: Bus silence after which servos stop [s]; 0: never.
+        last_update: Time of the last reading [s]; NaN before the first.
+        last_access: Time of the last access to the drive [s].
+        last_write: Time of the last write that the drive accepted [s]; -inf before the first.
+    """
+
+    drive: Drive
+    clock: Clock
+    limiter: CommandLimiter
+    positions: PositionFilter
+    readings: JointReadings
+    goals: _Array
+    limits: _Array
+    is_sent: bool
+    orders: dict[str, tuple[float, float]]
+    ramp_start: float
+    ramp_time: float
+    min_limit: _Array
+    watchdog_time: float
+    last_update: float
+    last_access: float
+    last_write: float
+    def __new__(cls, *_args: Any, **_options: Any) -> Self: ...
+    @property
+    def reported(self) -> dict[str, tuple[str, ...]]: ...
+    def read(self) -> State:
+        """Read all joints, update filter and heat, and return the state of the arm.
+
+        Raises:
+            ServoError: The connection to the drive is lost.
+        """
+
+    def write(
+        self,
+        goal: ArrayLike,
+        limit: ArrayLike | None,
+        extra: Mapping[str, tuple[float, float]] | None,
+        *,
+        lead: bool,
+        velocity: ArrayLike | None = None,
+    ) -> None:
+        """Validate, clip and send goals and limits; `Arm.write` documents the arguments."""
+
+    def transmit(self, goals: _Array, limits: _Array, speeds: _Array | None) -> None:
+        """Send goals [rad], torque limits [N·m] and largest speeds [rad/s] of all joints (N,)."""
 
 @final
 class CommandLimiter:

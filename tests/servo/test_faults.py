@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from pliant import ServoError, ServoFaultError
-from pliant._core import ServoCodec
+from pliant._core import BusStatus, ServoCodec
 from pliant.emulator import Emulator, ManualClock
 from pliant.servo import BusError, ServoBus, ServoSpec, get_model
-from pliant.servo._device import TRIPPED, Changes, Device
+from pliant.servo._device import TRIPPED, Device
 from pliant.servo._port import Port, StatusPoller
 from tests.servo.conftest import devices
 
@@ -624,9 +624,9 @@ def test_a_register_is_wrong_after_three_packets_and_half_a_second():
 
 def reported(device, time, status=0, **values):
     """Pass values of status registers to a device, like a reply read at `time` [s]."""
-    before = device.changes.status
+    before = device.bus_status.changes
     device._note(values, status, time)
-    assert device.changes.status > before  # the next status is read again, not the cached one
+    assert device.bus_status.changes > before  # the next status is read again, not the cached one
     return device.faults
 
 
@@ -660,14 +660,14 @@ def test_a_low_supply_is_a_fault_after_half_a_second():
 def test_torque_that_went_off_stays_off_until_it_is_enabled():
     device = attached("STS3215-7.4V")
     assert not reported(device, 1.0, torque_enable=0)
-    device.enabled, torque_changes = True, device.changes.torque
+    device.enabled, torque_changes = True, device.bus_status.torque_changes
     assert not reported(device, 1.1, torque_enable=1)
     assert device.torque_on
     for time in (1.2, 1.3):
         assert "its torque went off by itself" in reported(device, time, torque_enable=0)[0]
         assert not device.enabled
         assert not device.torque_on
-    assert device.changes.torque > torque_changes
+    assert device.bus_status.torque_changes > torque_changes
     device.enabled = True
     assert not reported(device, 1.4, torque_enable=1)
 
@@ -706,12 +706,12 @@ def test_overloads_that_leave_the_torque_on_are_no_fault():
     ],
 )
 def test_the_status_of_a_joint_is_that_of_its_worst_servo(volts, temperatures, expected):
-    family, changes = SimpleNamespace(status="feetech", status_blocks=[]), Changes()
+    family, bus_status = SimpleNamespace(status="feetech", status_blocks=[]), BusStatus([0.0])
     joint = [
         SimpleNamespace(
             spec=SimpleNamespace(name="lift"),
             family=family,
-            changes=changes,
+            bus_status=bus_status,
             voltage=voltage,
             temperature=temperature,
             conditions=(),
@@ -721,7 +721,7 @@ def test_the_status_of_a_joint_is_that_of_its_worst_servo(volts, temperatures, e
         )
         for number, (voltage, temperature) in enumerate(zip(volts, temperatures, strict=True))
     ]
-    status = StatusPoller([joint])._status(0)
+    status = StatusPoller([joint])._status_of(0)
     assert (status.name, status.voltage, status.temperature) == ("lift", *expected)
     assert status.faults == tuple(f"fault {number}" for number in range(len(joint)))
 
@@ -736,7 +736,7 @@ def test_every_register_that_may_be_wrong_is_read_again_in_turn():
         id=1,
         joint=0,
         family=family,
-        changes=Changes(),
+        bus_status=BusStatus([0.0]),
         voltage=12.0,
         temperature=30.0,
         faults=(),

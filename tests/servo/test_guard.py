@@ -39,11 +39,11 @@ def test_a_good_answer_costs_one_request(fake_bus):
     bus.memory[1][56] = 7
     assert guard.read(1, SHORT).data[0] == 7
     assert bus.calls == [("read", 1, 56, 15)]
-    assert guard.counters.transactions == 1
+    assert guard.transactions == 1
 
 
-def test_counters_start_at_zero():
-    assert set(asdict(Counters()).values()) == {0}
+def test_counters_start_at_zero(fake_bus):
+    assert {guarded(fake_bus([1])).transactions, *asdict(Counters()).values()} == {0}
 
 
 def test_a_lost_answer_is_drained_and_asked_for_again(fake_bus):

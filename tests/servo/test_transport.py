@@ -15,7 +15,7 @@ import pytest
 pytest.importorskip("rustypot", reason="the tests of servo buses need the extra servo")
 
 from pliant import emulator
-from pliant._core import JointReadings, OutOfRangeError, ServoCodec
+from pliant._core import BusCycle, BusStatus, JointReadings, OutOfRangeError, ServoCodec
 from pliant.emulator.pty import Pty
 from pliant.servo import BusError, RustypotTransport, ServoSpec, transport
 from pliant.servo._device import Device
@@ -235,20 +235,33 @@ def test_no_reading_is_stored_unless_all_replies_are_valid(at_once):
     codec, family, block = codec_of_two()
     group = ServoGroup(port.io.serial, codec, [0, 1], [3, 5])
 
+    class Bus(BusCycle):
+        """Bus of the two servos on the port of `guard`."""
+
+        def __init__(self, guard):
+            self.guard, status = guard, BusStatus([0.0, 0.0])
+            status.set_new(1, True)
+            self.set_reading(guard, status, group, {}, (block, block), (0.05, 0.05), 1, 9.0, 1.0)
+
+        def _finish_read(self, found, has_status, times):
+            assert not has_status
+            assert times[1] == 0.01
+            return self.guard.finish_sync_read([3, 5], block, times, found)
+
     def read():
         # Use a new guard, because after a failure a guard first waits for late replies.
         guard = TransactionGuard(port.io, "p1", baudrate=1_000_000, sample_clock=lambda: 0.01)
         try:
             if at_once:
-                guard.read_at_once(group, [3, 5], block, 9.0, 1.0)
+                Bus(guard).read()
             else:
                 guard.start_cycle(1.0)
                 guard.sync_decode([3, 5], [block], group, 9.0, usual=True)
         finally:
             counters = guard.counters
-            assert (counters.transactions, counters.timeouts + counters.corrupt) in {(1, 1), (1, 0)}
-            assert guard._pending.missing.keys() == {3, 5}
-            assert not guard.is_clear
+            assert (guard.transactions, counters.timeouts + counters.corrupt) in {(1, 1), (1, 0)}
+            assert guard.missing.keys() == {3, 5}
+            assert guard.is_dirty
 
     def values():
         return [getattr(codec.joints([0, 1]), name).tolist() for name in READINGS]
@@ -274,9 +287,9 @@ def test_no_reading_is_stored_unless_all_replies_are_valid(at_once):
     assert values() == before
     port.reply = valid + packet(5, family.layout(block).encode({"position": 2001}))
     guard = TransactionGuard(port.io, "p1", baudrate=1_000_000, sample_clock=lambda: 0.01)
-    found = guard.read_at_once(group, [3, 5], block, 9.0, 1.0)
+    found = Bus(guard).read()
     assert isinstance(found, JointReadings)
-    assert guard.is_clear
+    assert not (guard.is_dirty or guard.missing)
     assert values() == [getattr(found, name).tolist() for name in READINGS] != before
     port.close()
     with pytest.raises(OSError, match="serial port"):

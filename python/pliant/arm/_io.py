@@ -11,14 +11,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pliant._core import (
+    ArmCycle,
     CommandLimiter,
     ConfigError,
     JointReadings,
     OutOfRangeError,
     PositionFilter,
     ServoError,
-    ServoTimeoutError,
-    ShapeError,
 )
 from pliant._servo_tables import take
 from pliant._validation import format_value, mapping, real
@@ -221,21 +220,20 @@ SILENCE, EXTRA_SILENCE = 0.2, 1.0
 RESUME_READS = 5
 
 
-class ArmIO:
+class ArmIO(ArmCycle):
     """Read and write all joints of a drive, with the checks that apply to every cycle.
+
+    `ArmCycle` has the methods `read` and `write`, and the attributes that they use.
 
     Attributes:
         servos: Servo parameters of the chain, n entries.
-        orders: Last goal [rad] and limit [N·m] of each joint off the chain, by name.
         thermal: Thermal model of the servos.
-        positions: Filter with the last plausible positions.
-        last_write: Time of the last write that the drive accepted [s]; -inf before the first one.
     """
 
     def __init__(self, model: Model, drive: Drive, budget: Budget) -> None:
         """Match the joints of the model to those of the drive; read nothing from the drive."""
         self.model, self.drive = model, drive
-        self.clock: Clock = getattr(drive, "clock", None) or MonotonicClock()
+        self.clock = getattr(drive, "clock", None) or MonotonicClock()
         self.joints = JointMap(model, drive)
         self.servos = self.joints.servos(drive)
         size = len(self.joints.names)
@@ -248,7 +246,7 @@ class ArmIO:
         limit = _per_joint(getattr(drive, "temperature_limit", np.inf), size)
         self._extra_heat = np.maximum(budget.hottest - limit, 0.0)
         self.positions = PositionFilter(self.joints.max_speeds(model))
-        self._limiter = CommandLimiter(
+        self.limiter = CommandLimiter(
             model,
             self.servos,
             self.thermal,
@@ -260,12 +258,8 @@ class ArmIO:
             max_heat=TOO_HOT,
         )
         self._low_torque = LowTorqueWarning(model, self.servos)
-        self.orders: dict[str, tuple[float, float]] = {}
-        self._ramp_start: float = -math.inf
-        self._min_limit: Array = np.zeros(model.n)
-        self._last_update = math.nan
-        # Last goals [rad] and torque limits [N·m] of all joints (N,); True once they were sent.
-        self._goals, self._limits, self._is_sent = np.zeros(size), np.zeros(size), False
+        self.ramp_time, self.min_limit = RAMP_TIME, np.zeros(model.n)
+        self.goals, self.limits = np.zeros(size), np.zeros(size)
         # Read-only arrays (N,): states hold views of them, so a change creates a new array.
         self._voltage = self._temperature = _with_entry(np.full(size, np.nan), 0, np.nan)
         self._set_supply()
@@ -273,16 +267,11 @@ class ArmIO:
         self.voltage_range: Array = np.full((2, size), np.nan)
         # Last status by joint name.
         self._statuses: dict[str, ServoStatus] = {}
-        self._reported: dict[str, tuple[str, ...]] = {}
-        # Last reading of all joints.
-        self._sample = JointReadings(np.full(size, np.nan), np.zeros(size, dtype=bool), 0.0)
-        self._watchdog = 0.0
+        self.readings = JointReadings(np.full(size, np.nan), np.zeros(size, dtype=bool), 0.0)
         self._silent: set[str] = set()
-        # Times of the last bus access and of the last position received [s]; `set_watchdog` resets
-        # both.
-        self._last_access: float
+        # Time of the last position received [s], and of the last access to the bus; `set_watchdog`
+        # sets both.
         self._last_position: float
-        self.last_write = -math.inf
         #: Mask (N,) of joints whose torque an ended program may have left on, and that have not
         #: answered yet.
         self.torque_unknown: Mask = np.zeros(size, dtype=bool)
@@ -299,41 +288,25 @@ class ArmIO:
         is_new: Mask = self.positions.accepted[self.joints.chain]
         return is_new
 
-    def read(self) -> State:
-        """Read all joints, update filter and heat, and return the state of the arm.
+    def _readings_of_none(self) -> JointReadings:
+        """Return the last readings, with no new position: no joint has answered."""
+        return self.readings.replace(ok=np.zeros(len(self.joints.names), dtype=bool))
 
-        Raises:
-            ServoError: The connection to the drive is lost.
-        """
-        if self._watchdog:
-            self._rearm_after_silence()
-        try:
-            sample = self.drive.read()
-        except ServoTimeoutError:
-            # No joint has answered; each keeps its last values.
-            sample = self._sample.replace(ok=np.zeros(len(self.joints.names), dtype=bool))
-        finally:
-            self._last_access = now = self.clock.now()
-        self._sample = sample
-        if self._watchdog and np.any(sample.ok):
+    def _note_answers(self, readings: JointReadings, now: float) -> None:
+        """Rearm the servos' watchdogs at the first position after a long silence."""
+        if np.any(readings.ok):
             gap, self._last_position = now - self._last_position, now
-            if gap > 0.5 * self._watchdog:
+            if gap > 0.5 * self.watchdog_time:
                 self._rearm()
-        passed, self._last_update = now - self._last_update, now
-        state, is_suspect = self._limiter.update(
-            self.positions,
-            sample,
-            self._goals,
-            self._limits,
-            passed if self._is_sent else 0.0,
-            now,
-        )
-        return state.replace(faults=self.faults()) if is_suspect or self._reported else state
+
+    def _with_faults(self, state: State) -> State:
+        """Return a state with the present faults of the servos."""
+        return state.replace(faults=self.faults())
 
     def faults(self) -> tuple[str, ...]:
         """Return the present faults of the servos, one sentence each."""
         names = self.joints.names
-        found = [text for texts in self._reported.values() for text in texts]
+        found = [text for texts in self.reported.values() for text in texts]
         found += [
             f"{names[i]}: its position jumped by {jump:.2f} rad, which it cannot have moved: "
             "encoder fault, slipped horn or loose gear. Torque off, then check its zero"
@@ -356,7 +329,7 @@ class ArmIO:
         return [
             name
             for i, name in enumerate(self.joints.names)
-            if i in self.joints.chain and (is_silent[i] or has_fault[i] or name in self._reported)
+            if i in self.joints.chain and (is_silent[i] or has_fault[i] or name in self.reported)
         ]
 
     def outdated(self) -> Mask:
@@ -364,7 +337,7 @@ class ArmIO:
 
         The age is that at the last reading, however long a reading takes.
         """
-        is_old = ~(self._last_update - self.positions.time <= SILENCE)
+        is_old = ~(self.last_update - self.positions.time <= SILENCE)
         mask: Mask = (is_old | self.torque_unknown)[self.joints.chain]
         return mask
 
@@ -382,13 +355,13 @@ class ArmIO:
     @property
     def goal(self) -> Array:
         """Goals last sent to the chain (n,) [rad]."""
-        goal: Array = self._goals[self.joints.chain]
+        goal: Array = self.goals[self.joints.chain]
         return goal
 
     @property
     def limit(self) -> Array:
         """Torque limits last sent to the chain (n,) [N·m]."""
-        limit: Array = self._limits[self.joints.chain]
+        limit: Array = self.limits[self.joints.chain]
         return limit
 
     def gravity(self) -> Array:
@@ -429,16 +402,16 @@ class ArmIO:
         Raises:
             ServoError: A servo did not confirm the new watchdog time.
         """
-        self._watchdog = seconds
+        self.watchdog_time = seconds
         self.drive.watchdog(seconds)
-        self._last_access = self._last_position = self.clock.now()
+        self.last_access = self._last_position = self.clock.now()
 
     def _rearm_after_silence(self) -> None:
         """Rearm the servos' watchdogs if the bus was silent for more than half the watchdog time.
 
         They may have tripped meanwhile.
         """
-        if self.clock.now() - self._last_access > 0.5 * self._watchdog:
+        if self.clock.now() - self.last_access > 0.5 * self.watchdog_time:
             self._rearm()
 
     def _rearm(self) -> None:
@@ -446,7 +419,7 @@ class ArmIO:
         self._last_position = self.clock.now()
         with contextlib.suppress(ServoError):
             self.drive.watchdog(0.0)
-            self.drive.watchdog(self._watchdog)
+            self.drive.watchdog(self.watchdog_time)
 
     def is_refused(self) -> bool:
         """Return True if the drive reports that a servo of the chain rejects goals."""
@@ -487,7 +460,7 @@ class ArmIO:
             self.positions.assume(self.drive.read().position, self.clock.now())
         goals = np.where(has_torque, goals, self.positions.position)
         limits = np.where(has_torque, limits, 0.0)
-        self._goals, self._limits, self._is_sent = goals, limits, True
+        self.goals, self.limits, self.is_sent = goals, limits, True
         self.orders = {
             name: (float(goals[i]), float(limits[i]))
             for name, i in zip(self.joints.extra, self.joints.off_chain, strict=True)
@@ -506,7 +479,7 @@ class ArmIO:
             ServoError: The connection to the drive is lost.
         """
         before = self.torque_unknown
-        if not (before & self._sample.ok).any():
+        if not (before & self.readings.ok).any():
             return None
         goals, limits = self._reopen()
         found = before & ~self.torque_unknown
@@ -514,8 +487,8 @@ class ArmIO:
             return None
         has_torque = found & np.isfinite(goals)
         goals = np.where(has_torque, goals, self.positions.position)
-        self._goals = np.where(found, goals, self._goals)
-        self._limits = np.where(found, np.where(has_torque, limits, 0.0), self._limits)
+        self.goals = np.where(found, goals, self.goals)
+        self.limits = np.where(found, np.where(has_torque, limits, 0.0), self.limits)
         for name, i in zip(self.joints.extra, self.joints.off_chain, strict=True):
             if has_torque[i]:
                 self.orders[name] = (float(goals[i]), float(limits[i]))
@@ -539,40 +512,22 @@ class ArmIO:
         Args:
             limit: Lower bound of the ramp at its start (n,) [N·m].
         """
-        self._ramp_start = self.clock.now()
-        self._min_limit = _per_joint(limit, self.model.n)
+        self.ramp_start = self.clock.now()
+        self.min_limit = _per_joint(limit, self.model.n)
 
-    def write(
-        self,
-        goal: ArrayLike,
-        limit: ArrayLike | None,
-        extra: Mapping[str, tuple[float, float]] | None,
-        *,
-        lead: bool,
-        velocity: ArrayLike | None = None,
-    ) -> None:
-        """Validate, clip and send goals and limits; `Arm.write` documents the arguments."""
-        limit = self.limit if limit is None else limit
-        orders = self.orders if extra is None else {**self.orders, **self.joints.check(extra)}
-        state = (
-            self.positions,
-            list(map(orders.__getitem__, self.joints.extra)),
-            (self.clock.now() - self._ramp_start) / RAMP_TIME,
-            self._min_limit,
-        )
-        try:
-            limited = self._limiter.limit(goal, limit, velocity, *state, lead=lead)
-        except (ShapeError, OutOfRangeError, TypeError):
-            # Convert other array-likes with NumPy, or raise an error that names the joint.
-            goal, limit, velocity = self._check_command(goal, limit, velocity)
-            limited = self._limiter.limit(goal, limit, velocity, *state, lead=lead)
-        self.orders = orders
-        goals, limits, speeds, gravity = limited
-        self._transmit(goals, limits, speeds)
-        if gravity is not None:
-            self._low_torque.check(np.asarray(limit), gravity, self.clock.now())
-        elif self._low_torque.since is not None:
+    def _orders_with(self, extra: Orders) -> dict[str, tuple[float, float]]:
+        """Return `orders` with those in `extra`; raise as `JointMap.check` does."""
+        return {**self.orders, **self.joints.check(extra)}
+
+    def _watch_limits(self, limit: ArrayLike, gravity: Array | None) -> None:
+        """Warn of limits (n,) [N·m] that are too low for the weight.
+
+        `gravity` are gravity torques (n,) [N·m]; None: the command came from a controller.
+        """
+        if gravity is None:
             self._low_torque.reset()
+        else:
+            self._low_torque.check(np.asarray(limit), gravity, self.clock.now())
 
     def _check_command(
         self, goal: ArrayLike, limit: ArrayLike, velocity: ArrayLike | None
@@ -585,7 +540,7 @@ class ArmIO:
             velocity = vector(self.model, velocity, "velocity", finite=False)
             if not all(map((0.0).__le__, velocity.tolist())):
                 raise OutOfRangeError(f"velocity must be at least 0 rad/s, got {velocity.tolist()}")
-        joint = self._limiter.unreachable(goal)
+        joint = self.limiter.unreachable(goal)
         if joint is not None:
             model = self.model
             raise OutOfRangeError(
@@ -606,14 +561,14 @@ class ArmIO:
         """
         self.voltage_range.fill(np.nan)
         usable = self._usable[self.joints.chain]
-        goals, self._limits = self._in_drive_order(goal, np.minimum(limit, usable))
-        self._goals, self._is_sent = goals, True
+        goals, self.limits = self._in_drive_order(goal, np.minimum(limit, usable))
+        self.goals, self.is_sent = goals, True
         if getattr(self.drive, "accepts_lead", False):
             leads = self.joints.join(lead, np.zeros(len(self.joints.off_chain)))
-            self._goals = goals + leads
-            self.drive.enable(goals, self._limits, lead=leads)  # type: ignore[call-arg]
+            self.goals = goals + leads
+            self.drive.enable(goals, self.limits, lead=leads)  # type: ignore[call-arg]
         else:
-            self.drive.enable(goals, self._limits)
+            self.drive.enable(goals, self.limits)
 
     def send(self, goal: Array, limit: Array, velocity: Array | None = None) -> None:
         """Send goals and limits of the chain, and `orders` to the joints off the chain.
@@ -629,20 +584,7 @@ class ArmIO:
         usable = self._usable[self.joints.chain]
         if velocity is not None:
             velocity = self.joints.join(velocity, np.full(len(self.joints.extra), np.inf))
-        self._transmit(*self._in_drive_order(goal, np.minimum(limit, usable)), velocity)
-
-    def _transmit(self, goals: Array, limits: Array, speeds: Array | None) -> None:
-        """Send goals [rad], torque limits [N·m] and largest speeds [rad/s] of all joints (N,)."""
-        if self._watchdog:
-            self._rearm_after_silence()
-        self._goals, self._limits, self._is_sent = goals, limits, True
-        self.drive.write(goals, limits, speeds)
-        self.last_write = self._last_access = self.clock.now()
-        status = self.drive.poll_status()
-        if status is None:
-            self._report_silent()
-        elif status is not self._statuses.get(status.name):
-            self._update_status(status)
+        self.transmit(*self._in_drive_order(goal, np.minimum(limit, usable)), velocity)
 
     def _report_silent(self) -> None:
         """Warn once of each joint off the chain that is silent."""
@@ -664,17 +606,19 @@ class ArmIO:
         goals = self.joints.join(goal, np.array([order[0] for order in orders]))
         return goals, self.joints.join(limit, max_lead)
 
-    def _update_status(self, status: ServoStatus) -> None:
-        """Store voltage, temperature and faults of the servo in `status`."""
+    def _update_status(self, status: ServoStatus) -> int:
+        """Store voltage, temperature and faults of the servo in `status`; return its joint."""
         name, last = status.name, self._statuses.get(status.name)
+        joint = self.joints.index(name)
         self._statuses[name] = status
         supply = (status.voltage, status.temperature)
         if last is None or supply != (last.voltage, last.temperature):
-            self._store_supply(self.joints.index(name), *supply)
+            self._store_supply(joint, *supply)
         if status.faults:
-            self._reported[name] = status.faults
-        elif self._reported:
-            self._reported.pop(name, None)
+            self.reported[name] = status.faults
+        elif self.reported:
+            self.reported.pop(name, None)
+        return joint
 
     def _store_supply(self, index: int, voltage: float | None, temperature: float | None) -> None:
         """Store voltage [V] and temperature [°C] of a joint; None keeps the last value."""
@@ -690,7 +634,7 @@ class ArmIO:
     def _set_supply(self) -> None:
         """Pass voltages and temperatures of the chain to the limiter, for the next states."""
         select = self.joints.select
-        self._limiter.set_supply(self._voltage[select], self._temperature[select])
+        self.limiter.set_supply(self._voltage[select], self._temperature[select])
 
 
 def _with_entry(values: Array, index: int, value: float | None) -> Array:

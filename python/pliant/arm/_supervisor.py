@@ -8,12 +8,12 @@ import os
 import sys
 import threading
 import time
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
-from pliant._core import ConfigError, ServoError, ServoTimeoutError
+from pliant._core import ConfigError, ExclusiveAccess, ServoError, ServoTimeoutError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterator
 
 #: Python's thread switch interval while the watchdog thread lowers the arm [s]. With the default of
 #: 5 ms, another busy thread would delay every bus call by half a control period of 10 ms.
@@ -29,24 +29,24 @@ def private_heartbeat() -> memoryview[float]:
 MADV_WIPEONFORK = 18
 
 
-def _not_forked() -> Sequence[int]:
-    """Return a sequence whose entry 0 is true only in the process that has imported this module.
+def _not_forked() -> bytes | memoryview[int]:
+    """Return memory whose byte 0 is true only in the process that has imported this module.
 
     Unlike `os.getpid`, reading it needs no system call. It is also right if C code has forked. On
     other systems than Linux it is always 0.
     """
     if sys.platform != "linux":
-        return (0,)
+        return bytes(1)
     try:
         page = mmap.mmap(-1, mmap.PAGESIZE, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
         page.madvise(MADV_WIPEONFORK)
     except OSError:
-        return (0,)
+        return bytes(1)
     page[0] = 1
     return memoryview(page)
 
 
-#: Entry 0 is true if this process is not forked from another one after the import.
+#: Byte 0 is true if this process is not forked from another one after the import.
 _NOT_FORKED = _not_forked()
 
 
@@ -77,7 +77,7 @@ class ShortSwitchInterval:
 _SHORT_SWITCH_INTERVAL = ShortSwitchInterval()
 
 
-class Supervisor:
+class Supervisor(ExclusiveAccess):
     """Lock of an arm, and a watchdog thread that calls `leave` if the program stalls.
 
     Each access to the drive is inside `with supervisor`, which restarts the timeout. The watchdog
@@ -96,34 +96,18 @@ class Supervisor:
             timeout after which the program counts as hanging (0: no timeout).
     """
 
+    def __new__(cls, leave: Callable[[], None]) -> Self:
+        """Create the lock."""
+        return super().__new__(cls, threading.RLock(), _NOT_FORKED)
+
     def __init__(self, leave: Callable[[], None]) -> None:
         """Store `leave`, which lowers the arm or leaves it on; it is called with `lock` held."""
-        self.lock = threading.RLock()
         self.abort = threading.Event()
-        self.reason: str | None = None
         self.owner: int | None = None
         self.is_leaving = False
-        self._leave, self._last_call = leave, 0.0
+        self._leave = leave
         self._done = threading.Event()
         self.heartbeat = private_heartbeat()
-
-    def __enter__(self) -> None:
-        """Take the lock for one access to the drive.
-
-        Raises:
-            ServoError: Another process switched torque on.
-            ServoTimeoutError: The watchdog thread has taken the arm over.
-        """
-        if self.reason is not None or not _NOT_FORKED[0]:
-            self.check()
-        self.lock.acquire()
-        if self.reason is not None:
-            self.lock.release()
-            self.check()
-
-    def __exit__(self, *_: object) -> None:
-        self._last_call = self.heartbeat[0] = time.perf_counter()
-        self.lock.release()
 
     @property
     def is_owned_elsewhere(self) -> bool:
@@ -172,7 +156,7 @@ class Supervisor:
             yield
         finally:
             # The watchdog thread must not count the time in this context as a stall.
-            self._last_call = time.perf_counter()
+            self.last_call = time.perf_counter()
             self.lock.release()
 
     @contextlib.contextmanager
@@ -199,7 +183,7 @@ class Supervisor:
             yield check
             return
         self.heartbeat[1] = timeout
-        self._last_call = time.perf_counter()
+        self.last_call = time.perf_counter()
         thread = threading.Thread(
             target=self._run, args=(timeout, done), name="pliant-supervisor", daemon=True
         )
@@ -229,14 +213,14 @@ class Supervisor:
         """Take the arm over once the program stalls for `timeout` [s]; return if `done` is set."""
         longest = threading.TIMEOUT_MAX
         while not done.wait(
-            min(max(self._last_call + timeout - time.perf_counter(), 1e-3), longest)
+            min(max(self.last_call + timeout - time.perf_counter(), 1e-3), longest)
         ):
-            if time.perf_counter() - self._last_call < timeout:
+            if time.perf_counter() - self.last_call < timeout:
                 continue
             with self.lock:
                 # Compute the stall again: another thread may have accessed the drive while this
                 # thread waited for the lock.
-                stall = time.perf_counter() - self._last_call
+                stall = time.perf_counter() - self.last_call
                 if stall >= timeout and not done.is_set() and self.reason is None:
                     self._take_over(stall)
                     return

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from math import inf, isnan, nan
 from typing import TYPE_CHECKING, Any
 
-from pliant._core import ServoError
+from pliant._core import BusStatus, ServoError
 from pliant.servo import _status as status
 from pliant.servo.spec import Units
 
@@ -56,20 +56,6 @@ class ReadBack:
     write: int = -1
 
 
-class Changes:
-    """Numbers of changes of the servos of a bus: results stay valid while the number is the same.
-
-    Attributes:
-        torque: Number of changes of `Device.enabled`.
-        status: Number of changes of torque, status or faults.
-    """
-
-    __slots__ = ("status", "torque")
-
-    def __init__(self) -> None:
-        self.torque = self.status = 0
-
-
 class Device:
     """State of one servo.
 
@@ -78,7 +64,8 @@ class Device:
         joint: Index of the joint in all vectors of the bus.
         id: Id of the servo on the bus.
         sign: +1 if counts rise with the joint angle, else -1.
-        changes: Counter of changes, shared by all servos of the bus; None: a new counter.
+        bus_status: What is known of the status registers, shared by all servos of the bus; None:
+            the servo is alone.
 
     Attributes:
         units: Unit conversions at the latest supply voltage.
@@ -111,15 +98,13 @@ class Device:
         drive_values: Registers that bound torque or motion, with the values that `enable` writes.
         mismatches: Number of times a register did not read back as written.
         has_mismatch: True if goal or limit did not read back as written the last time.
-        has_new_status: True if a reading contained all status registers and `StatusPoller` has not
-            taken them yet.
     """
 
     def __init__(
-        self, spec: ServoSpec, joint: int, id: int, sign: int, changes: Changes | None = None
+        self, spec: ServoSpec, joint: int, id: int, sign: int, bus_status: BusStatus | None = None
     ) -> None:
         """Store joint, id and sign; the other values are defaults until the servo is read."""
-        self.changes = Changes() if changes is None else changes
+        self.bus_status = BusStatus([0.0]) if bus_status is None else bus_status
         self.spec, self.joint, self.id = spec, joint, id
         self.row: ServoModel = spec.row
         self.family: Family = self.row.family
@@ -148,7 +133,7 @@ class Device:
         self.drive_values: dict[str, int] = {}
         self.mismatches = 0
         self._read_backs = {"goal": ReadBack(), "limit": ReadBack()}
-        self.has_mismatch = self.has_new_status = False
+        self.has_mismatch = False
         self.tripped, self.trips, self.watchdog = False, 0, 0
         self.index = 0
         self._codec: ServoCodec | None = None
@@ -183,12 +168,21 @@ class Device:
     @enabled.setter
     def enabled(self, enabled: bool) -> None:
         self._enabled = enabled
-        self.changes.torque += 1
-        self.changes.status += 1
+        self.bus_status.torque_changes += 1
+        self.bus_status.changes += 1
+
+    @property
+    def has_new_status(self) -> bool:
+        """True if a reading contained all status registers, and `StatusPoller` has not taken it."""
+        return self.bus_status.has_new(self.index)
+
+    @has_new_status.setter
+    def has_new_status(self, is_new: bool) -> None:
+        self.bus_status.set_new(self.index, is_new)
 
     def configure(self) -> None:
         """Pass changed registers, units and bounds to the codec."""
-        self.changes.status += 1
+        self.bus_status.changes += 1
         row, units, torque_offset = self.row, self.units, self.spec.torque_offset
         uses_current = row.limit_type == "current"
         scale = (units.torque_per_unit, torque_offset) if uses_current else (units.load(1), 0.0)
@@ -367,7 +361,7 @@ class Device:
 
         `status_byte` is the status of the reply.
         """
-        self.changes.status += 1
+        self.bus_status.changes += 1
         if "hardware_error" in values:
             self.note_hardware_error(values["hardware_error"])
         if status_byte or self.conditions:
@@ -453,9 +447,9 @@ class Device:
         """Set the fault of the topic `key` with this text if `is_wrong`, else clear it."""
         if is_wrong:
             self.other_faults[key] = text
-            self.changes.status += 1
+            self.bus_status.changes += 1
         elif self.other_faults.pop(key, None) is not None:
-            self.changes.status += 1
+            self.bus_status.changes += 1
 
     @property
     def has_suspect_register(self) -> bool:
@@ -492,7 +486,8 @@ class Device:
             read_back.write = write
             self.mismatches += 1
         self.has_mismatch = bool(self._read_backs["goal"].wrong or self._read_backs["limit"].wrong)
-        is_wrong = read_back.wrong >= MISMATCHES and time - read_back.matched > MISMATCH_TIME
+        matched = max(read_back.matched, self.bus_status.matched(self.index))
+        is_wrong = read_back.wrong >= MISMATCHES and time - matched > MISMATCH_TIME
         if is_wrong or self.other_faults:
             self.fault(key, is_wrong, self._mismatch(key, value, written) if is_wrong else "")
 

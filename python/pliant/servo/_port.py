@@ -13,6 +13,7 @@ from pliant._core import JointReadings
 from pliant.drive import ServoStatus
 from pliant.servo._transactions import (
     BITS_PER_BYTE,
+    RELAXED_FACTOR,
     GroupReplies,
     Reply,
     TransactionGuard,
@@ -26,8 +27,9 @@ if sys.platform != "win32":
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 
-    from pliant._core import SerialPort
+    from pliant._core import BusCycle, BusStatus, SerialPort
     from pliant.servo._device import Device
+    from pliant.servo._transactions import Received
     from pliant.servo.models.base import Block
     from pliant.servo.models.base import Protocol as Wire
     from pliant.servo.transport import Command, Transport
@@ -135,7 +137,8 @@ class Port:
         self._restart = max(RESTART, RESTART_CYCLES * cycle)
         self.watchdog = 0
         self._is_armed = False
-        self._misses: dict[int, int] = {}
+        #: Number of missed readings of each silent servo, by its id.
+        self.misses: dict[int, int] = {}
         self._silent: dict[int, int] = {}
         self.has_watchdog = any("watchdog" in device.family.registers for device in devices)
         self._read_groups = self._grouped(self.devices)
@@ -143,7 +146,7 @@ class Port:
         first, *others = self._read_groups
         has_one = first.sync_read and first.is_plain and first.read_with_status and not others
         self._only_group = first if has_one else None
-        self._changes, self._seen = self.devices[0].changes, -1
+        self._status, self._seen = self.devices[0].bus_status, -1
         # Groups of the servos that get commands, and True if these are all servos.
         self._write_groups: list[Group] = []
         self._drives_all = False
@@ -189,40 +192,101 @@ class Port:
             of the bus are on this port and in one group.
         """
         accepted: list[int] = []
-        group, guard = self._only_group, self.guard
         try:
-            if (
-                group is not None
-                and group.core is not None
-                and group.last.has_new_status
-                and guard.is_clear
-                and not (self._misses or budget == inf)
-            ):
-                # Fast path of nearly every cycle: a reading without status, after no failure.
-                try:
-                    found = guard.read_at_once(
-                        group.core, group.ids, group.read[0], self._restart, budget
-                    )
-                except BusError as error:
-                    self._read_again(group, error, accepted)
+            self.guard.start_cycle(budget)
+            for group in self._grouped(self.responsive) if self._silent else self._read_groups:
+                if group.sync_read:
+                    readings = self._read_group(group, accepted)
+                    if readings is not None:
+                        return readings
                 else:
-                    if isinstance(found, JointReadings):
-                        return found
-                    self._note_found(group, found, accepted)
-            else:
-                guard.start_cycle(budget)
-                for group in self._grouped(self.responsive) if self._silent else self._read_groups:
-                    if group.sync_read:
-                        readings = self._read_group(group, accepted)
-                        if readings is not None:
-                            return readings
-                    else:
-                        self._read_each(group, accepted)
+                    self._read_each(group, accepted)
             if self._silent:
                 self._probe(accepted)
         except BusError:
             return []
         return accepted
+
+    def finish_read(
+        self, found: Received | OSError, times: tuple[float, float], *, has_status: bool
+    ) -> list[int]:
+        """Evaluate the result of a request to all servos that `BusCycle.read` has made.
+
+        Args:
+            found: The replies, or the error of the port.
+            times: Time of the request on the clocks of timeouts and of readings [s].
+            has_status: True if the request was for the status registers too.
+
+        Returns:
+            Indices of the servos whose reading was received and is plausible.
+        """
+        group = self._only_group
+        assert group is not None, "the request was for this group"
+        accepted: list[int] = []
+        block = (group.read_with_status if has_status else group.read)[0]
+        try:
+            try:
+                replies = self.guard.finish_sync_read(group.ids, block, times, found)
+            except BusError as error:
+                self._read_again(group, error, accepted)
+            else:
+                self._note_found(group, replies, accepted)
+        except BusError:
+            return []
+        return accepted
+
+    def finish_write(self, error: OSError) -> None:
+        """Note that `BusCycle.write` has failed with this error of the port.
+
+        Raises:
+            BusError: The port is gone, or takes no bytes.
+        """
+        (group,) = self._write_groups
+        self.guard.finish_sync_write(len(group.ids), group.write_blocks, error)
+
+    def start_usual_cycles(self, bus: BusCycle, budget: float) -> None:
+        """Let `bus` read all servos with one request while nothing needs attention, if it can.
+
+        `budget` is the time after which a cycle makes no further request [s].
+        """
+        group = self._only_group
+        if group is None or group.core is None or budget == inf:
+            return
+        blocks = group.read[0], group.read_with_status[0]
+        plain, with_status = (
+            self.guard.request_times("sync_read", len(group.ids), block.size)[1] for block in blocks
+        )
+        bus.set_reading(
+            self.guard,
+            self._status,
+            group.core,
+            self.misses,
+            blocks,
+            (plain, with_status),
+            group.last.index,
+            self._restart,
+            budget,
+        )
+
+    def start_usual_writes(self, bus: BusCycle, max_speed: float) -> None:
+        """Let `bus` send commands to all servos with one packet per block, if it can.
+
+        `max_speed` is the upper bound of the speeds [rad/s].
+        """
+        if not self._drives_all or self._withheld or len(self._write_groups) != 1:
+            return
+        (group,) = self._write_groups
+        if group.core is None:
+            return
+        size = group.write_blocks[-1].size
+        timeout = self.guard.request_times("sync_write", len(group.ids), size)[1]
+        bus.set_writing(
+            group.core,
+            group.write_blocks,
+            (timeout, timeout * RELAXED_FACTOR),
+            max_speed,
+            self._status.torque_changes,
+        )
 
     def _grouped(self, devices: Iterable[Device]) -> list[Group]:
         """Return the devices in groups; one sync read, or single reads, read a group."""
@@ -243,7 +307,7 @@ class Port:
         for device, reply in replies:
             if device.id in unknown:
                 continue
-            self._misses.pop(device.id, None)
+            self.misses.pop(device.id, None)
             if device.accept(reply):
                 accepted.append(device.index)
             else:
@@ -363,9 +427,9 @@ class Port:
             ShapeError, OutOfRangeError: See `ServoCodec.encode`; nothing was sent.
             BusError: A packet could not be sent.
         """
-        silent = self._silent_devices() if self._misses else []
-        if self._seen != self._changes.torque or silent != self._withheld:
-            self._seen, self._withheld = self._changes.torque, silent
+        silent = self._silent_devices() if self.misses else []
+        if self._seen != self._status.torque_changes or silent != self._withheld:
+            self._seen, self._withheld = self._status.torque_changes, silent
             driven = [device for device in self.devices if device.enabled and device not in silent]
             self._drives_all = len(driven) == len(self.devices)
             self._write_groups = write_groups(driven, self._serial)
@@ -386,7 +450,7 @@ class Port:
     def _silent_devices(self) -> list[Device]:
         """Return the servos with torque on that may have restarted, because they are silent."""
         oldest = self._clock() - self._restart
-        return [d for d in self.devices if d.enabled and d.id in self._misses and d.time < oldest]
+        return [d for d in self.devices if d.enabled and d.id in self.misses and d.time < oldest]
 
     def send(
         self, group: Group, goals: Sequence[int], limits: Sequence[int], data: Sequence[list[bytes]]
@@ -432,7 +496,7 @@ class Port:
         Returns:
             The readings of the joints, if none needs attention and the bus has no other servos.
         """
-        decoder = None if self._misses else group.core
+        decoder = None if self.misses else group.core
         blocks, is_usual, has_status = group.read, group.is_plain, False
         if group.read_with_status and not group.last.has_new_status:
             blocks, has_status = group.read_with_status, True
@@ -478,7 +542,7 @@ class Port:
             accepted += group.indices
             return
         block, answers, notable, time = found
-        if self._misses:
+        if self.misses:
             replies = [Reply(block, data, status, time) for data, status in answers]
             self._accept(list(zip(group.devices, replies, strict=True)), accepted)
             return
@@ -540,8 +604,8 @@ class Port:
                 replies.append((device, reply))
         # Count missing replies only if another servo replies: otherwise the line has failed.
         for number in missed if replies else ():
-            self._misses[number] = self._misses.get(number, 0) + 1
-            if self._misses[number] >= MAX_MISSES:
+            self.misses[number] = self.misses.get(number, 0) + 1
+            if self.misses[number] >= MAX_MISSES:
                 self._silent[number] = PROBE_CYCLES
         self._accept(replies, accepted)
 
@@ -609,13 +673,12 @@ class StatusPoller:
         self._joints = joints
         self._devices = [device for joint in joints for device in joint]
         self._steps = [(d, block) for d in self._devices for block in d.family.status_blocks]
-        self._next = 0
         self._reads_torque = any(d.family.status == "p2" for d in self._devices)
         self._reported: set[int] = set()
         self._is_repeat = False
         self._block_index = self._count = 0
         # Valid while the number of changes is `_seen`: servos with a fault, and statuses by joint.
-        self._changes, self._seen = self._devices[0].changes, -1
+        self._status, self._seen = self._devices[0].bus_status, -1
         self._doubtful: list[Device] = []
         self._statuses: dict[int, ServoStatus] = {}
 
@@ -636,27 +699,36 @@ class StatusPoller:
             self._count += 1
             if self._count % TORQUE_PERIOD == 0 and self._check_torque(ports):
                 return None
-        if self._seen != self._changes.status:
+        if self._seen != self._status.changes:
             self._note_changes()
         chosen = self._choose() if self._doubtful or self._reported else None
         if chosen is None:
             self._is_repeat = False
-            chosen = self._steps[self._next]
-            self._next = (self._next + 1) % len(self._steps)
+            chosen = self._steps[self._status.next_step]
+            self._status.next_step = (self._status.next_step + 1) % len(self._steps)
             device = chosen[0]
             if device.has_new_status:
                 device.has_new_status = False
-                return self._statuses.get(device.joint) or self._status(device.joint)
+                return self._status_of(device.joint)
         device, block = chosen
         guard = ports[id(device)].guard
         if guard.is_gone:
-            return self._status(device.joint)
+            return self._status_of(device.joint)
         try:
             device.note(guard.read(device.id, block))
         except BusError as error:
             error.raise_if_gone()
             return None
-        return self._status(device.joint)
+        return self._status_of(device.joint)
+
+    def start_usual_polls(self, bus: BusCycle) -> None:
+        """Let `bus` return the statuses of the joints while there are no changes, if it can."""
+        if self._seen != self._status.changes or self._doubtful or self._reported:
+            return
+        if self._reads_torque or not all(device.is_driven for device in self._devices):
+            return
+        steps = [(device.index, self._status_of(device.joint)) for device, _ in self._steps]
+        bus.set_polling(steps, self._seen)
 
     def _check_torque(self, ports: Mapping[int, Port]) -> bool:
         """Read with one request whether torque is on, for all enabled servos of one port.
@@ -705,7 +777,7 @@ class StatusPoller:
 
     def _note_changes(self) -> None:
         """Update the list of servos with faults or mismatches, and discard the cached statuses."""
-        self._seen = self._changes.status
+        self._seen = self._status.changes
         self._statuses.clear()
         self._doubtful = [
             device
@@ -713,9 +785,9 @@ class StatusPoller:
             if device.conditions or device.other_faults or device.has_mismatch
         ]
 
-    def _status(self, joint: int) -> ServoStatus:
+    def _status_of(self, joint: int) -> ServoStatus:
         """Return the status of a joint; the same object as long as there are no changes."""
-        if self._seen != self._changes.status:
+        if self._seen != self._status.changes:
             self._note_changes()
         status = self._statuses.get(joint)
         if status is None:

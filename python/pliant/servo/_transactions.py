@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from math import inf
 from typing import TYPE_CHECKING, Literal, NamedTuple, ParamSpec, TypeVar
 
-from pliant._core import ConfigError
+from pliant._core import ConfigError, PortState
 from pliant._validation import real
 from pliant.servo.models.base import Block
 from pliant.servo.transport import BusError
@@ -153,9 +153,9 @@ class PendingReplies:
         missing: Missing replies by servo id.
     """
 
-    def __init__(self) -> None:
-        """Create an empty record: no reply is missing."""
-        self.missing: dict[int, list[PendingReply]] = {}
+    def __init__(self, missing: dict[int, list[PendingReply]]) -> None:
+        """Use the dictionary `missing`, which is still empty: no reply is missing."""
+        self.missing = missing
 
     def add(self, ids: Iterable[int], size: int, time: float) -> None:
         """Record for each servo a missing reply with `size` data bytes, requested at `time` [s]."""
@@ -235,7 +235,6 @@ class Counters:
     """Event counters of one port since it was opened.
 
     Attributes:
-        transactions: Number of requests sent, including retries, without the pings of drains.
         retries: Number of requests sent again.
         timeouts: Number of missing or incomplete replies.
         corrupt: Number of replies with a wrong checksum, frame or id.
@@ -244,7 +243,6 @@ class Counters:
         refused: Number of requests that a servo rejected.
     """
 
-    transactions: int = 0
     retries: int = 0
     timeouts: int = 0
     corrupt: int = 0
@@ -270,10 +268,8 @@ class Reply(NamedTuple):
 
 
 if TYPE_CHECKING:
-    #: Result of `ServoGroup.read`.
-    _Decoded = (
-        JointReadings | tuple[list[tuple[bytes, int]] | bytes, list[tuple[int, bool | None]]] | None
-    )
+    #: Results of `SerialPort.exchange` and `ServoCodec.decode`.
+    Received = tuple[list[tuple[bytes, int]] | bytes, list[tuple[int, bool | None]]]
 
 
 class GroupReplies(NamedTuple):
@@ -292,7 +288,7 @@ class GroupReplies(NamedTuple):
     time: float
 
 
-class TransactionGuard:
+class TransactionGuard(PortState):
     """Requests on one port, with timeouts, retries, counters and rejection of late replies.
 
     After a failure the line is drained: the received bytes are discarded until the line is silent.
@@ -312,7 +308,6 @@ class TransactionGuard:
         counters: Event counters.
         held_back: Shortest delay of a reply beyond its wire time [s].
         unused_id: Id without a servo; pings to it drain the line.
-        is_gone: True if the port has vanished; every request then fails immediately.
         is_noisy: True if the last drain outside of a control cycle ended without silence.
     """
 
@@ -332,16 +327,14 @@ class TransactionGuard:
         """Store the parameters of the port; send no request yet."""
         self.counters = Counters()
         self._response_delay, self._latency = RESPONSE_DELAY, latency
-        self.is_gone = self.is_noisy = False
+        self.is_noisy = False
         self.held_back = float("inf")
         self._io, self._protocol, self.unused_id = transport, protocol, unused_id
         self._baudrate, self._cycle = baudrate, cycle
-        self._clock, self._sample_clock = clock, sample_clock or clock
-        self._deadline, self._is_relaxed = float("inf"), True
-        self._is_dirty = False
+        self.clock, self.sample_clock = clock, sample_clock or clock
         self._timeout = self._reply_timeout = self._wire = 0.0
         self._reply_timeout_min = reply_timeout_min
-        self._pending = PendingReplies()
+        self._pending = PendingReplies(self.missing)
         # Wire time and reply timeout [s] of each kind of request so far.
         self._times: dict[tuple[Kind, int, int], tuple[float, float]] = {}
 
@@ -370,11 +363,11 @@ class TransactionGuard:
 
         Outside of control cycles the budget is infinite, with longer timeouts and more tries.
         """
-        self._deadline, self._is_relaxed = self._clock() + budget, budget == inf
+        self.deadline, self.is_relaxed = self.clock() + budget, budget == inf
 
     def expect_late_replies(self) -> None:
         """Drain the line before the next request: replies to an ended program may still come."""
-        self._is_dirty = True
+        self.is_dirty = True
 
     def may_get_late_reply(self, id: int, block: Block) -> bool:
         """Return True if a reply of servo `id` with the length of `block` is still missing."""
@@ -443,7 +436,7 @@ class TransactionGuard:
         Raises:
             BusError: At least one reply is missing or corrupt; nothing is stored.
         """
-        if self._is_dirty or self.is_gone:
+        if self.is_dirty or self.is_gone:
             self._clear_line()
         try:
             block = self._choose(ids, blocks) if self._pending.missing else blocks[0]
@@ -451,8 +444,8 @@ class TransactionGuard:
             self._note_failure(error)
             raise
         start = self._prepare("sync_read", len(ids), block.size)
-        started = self._clock()
-        found: _Decoded
+        started = self.clock()
+        found: JointReadings | Received | None
         try:
             if decoder is None:
                 found = self._io.sync_read(ids, block.address, block.size), []
@@ -465,7 +458,7 @@ class TransactionGuard:
         except OSError as error:
             raise self._lost(ids, block, started, error) from error
         result = (
-            self._checked(ids, block, (start, started), found)
+            self._checked(ids, block, (started, start), found)
             if isinstance(found, tuple)
             else found
         )
@@ -473,56 +466,49 @@ class TransactionGuard:
             self._pending.mark_superseded(ids)
         return result
 
-    @property
-    def is_clear(self) -> bool:
-        """True if the last request has not failed, and no reply is missing."""
-        return not (self._is_dirty or self.is_gone or self._pending.missing)
+    def finish_sync_read(
+        self,
+        ids: Sequence[int],
+        block: Block,
+        times: tuple[float, float],
+        found: Received | OSError,
+    ) -> GroupReplies:
+        """Return the replies to a sync read that `BusCycle.read` has made.
 
-    def read_at_once(
-        self, decoder: ServoGroup, ids: Sequence[int], block: Block, longest: float, budget: float
-    ) -> GroupReplies | JointReadings | None:
-        """Start a control cycle with a `sync_decode` of one block; the line must be `is_clear`.
-
-        Nearly every cycle takes this path, so it has as few steps as possible.
+        Args:
+            ids: Ids of the servos.
+            block: Block that was requested.
+            times: Time of the request on the clocks of timeouts and of readings [s].
+            found: The replies, or the error of the port.
 
         Raises:
             BusError: At least one reply is missing or corrupt; nothing is stored.
         """
-        started = self._clock()
-        self._deadline, self._is_relaxed = started + budget, False
-        key: tuple[Kind, int, int] = ("sync_read", len(ids), block.size)
-        self._wire, timeout = self._times.get(key) or self._request_times(*key)
-        self._reply_timeout = timeout
-        self.counters.transactions += 1
-        start = self._sample_clock()
-        try:
-            found = decoder.read(block, timeout, start, longest, True)
-        except OSError as error:
-            raise self._lost(ids, block, started, error) from error
-        if isinstance(found, tuple):
-            return self._checked(ids, block, (start, started), found)
-        return found
+        self._wire, self._reply_timeout = self.request_times("sync_read", len(ids), block.size)
+        if isinstance(found, OSError):
+            raise self._lost(ids, block, times[0], found) from found
+        return self._checked(ids, block, times, found)
 
     def _checked(
         self,
         ids: Sequence[int],
         block: Block,
         times: tuple[float, float],
-        found: tuple[list[tuple[bytes, int]] | bytes, list[tuple[int, bool | None]]],
+        found: Received,
     ) -> GroupReplies:
         """Return replies to a sync read, after a check that they have the length of the block.
 
         Args:
             ids: Ids of the servos.
             block: Block that was requested.
-            times: Time of the request on the clock of readings and on the clock of timeouts [s].
+            times: Time of the request on the clocks of timeouts and of readings [s].
             found: The replies, or bytes that are no valid replies; see `GroupReplies.notable`.
 
         Raises:
             BusError: At least one reply is missing or corrupt.
         """
         received, notable = found
-        start, started = times
+        started, start = times
         try:
             answers: list[tuple[bytes, int]] = (
                 self._io.broken(received, ids, block.size)  # type: ignore[attr-defined]
@@ -587,22 +573,36 @@ class TransactionGuard:
         """
         if self.is_gone:
             self.check_port()
-        key: tuple[Kind, int, int] = ("sync_write", size, blocks[-1].size)
-        self._wire, timeout = self._times.get(key) or self._request_times(*key)
-        self._reply_timeout = timeout * RELAXED_FACTOR if self._is_relaxed else timeout
-        self.counters.transactions += len(blocks)
+        self._note_sync_write(size, blocks)
+        self.transactions += len(blocks)
         try:
             encoder.write(blocks, self._reply_timeout, *command)
         except OSError as error:
-            failure: BusError = self._io.lost(error)  # type: ignore[attr-defined]
-            self._note_failure(failure)
-            raise failure from error
+            self.finish_sync_write(size, blocks, error)
+
+    def finish_sync_write(self, size: int, blocks: Sequence[Block], error: OSError) -> None:
+        """Raise the `BusError` for the failure of a `sync_encode` or of `BusCycle.write`.
+
+        Args:
+            size: Number of servos.
+            blocks: Block of each packet.
+            error: Error of the port.
+        """
+        self._note_sync_write(size, blocks)
+        failure: BusError = self._io.lost(error)  # type: ignore[attr-defined]
+        self._note_failure(failure)
+        raise failure from error
+
+    def _note_sync_write(self, size: int, blocks: Sequence[Block]) -> None:
+        """Store wire time and timeout of a packet with the last of `blocks` for `size` servos."""
+        self._wire, timeout = self.request_times("sync_write", size, blocks[-1].size)
+        self._reply_timeout = timeout * RELAXED_FACTOR if self.is_relaxed else timeout
 
     def ping(self, id: int) -> bool:
         """Return True if a servo answers one ping."""
         self._clear_line()
         self._prepare("ping", 1, 0, is_urgent=True)
-        started = self._clock()
+        started = self.clock()
         try:
             answered = self._io.ping(id)
         except BusError as error:
@@ -611,7 +611,7 @@ class TransactionGuard:
         if not answered:
             # Drain before the next request: a late servo, or two servos with one id, may still be
             # sending.
-            self._is_dirty = True
+            self.is_dirty = True
             self._pending.add([id], PING_SIZE[self._protocol], started)
         return answered
 
@@ -625,7 +625,7 @@ class TransactionGuard:
             self._note_failure(error)
             raise
         finally:
-            self._is_dirty = True
+            self.is_dirty = True
 
     def find_unused_id(self, used: Iterable[int], highest: int) -> None:
         """Find the highest id without a servo, for the pings that drain the line.
@@ -651,7 +651,7 @@ class TransactionGuard:
 
     def _read(self, id: int, blocks: Sequence[Block]) -> Reply:
         """Read one of the blocks of one servo, without a retry; see `read`."""
-        if self._is_dirty or self.is_gone:
+        if self.is_dirty or self.is_gone:
             self._clear_line()
         try:
             is_clear = id not in self._pending.missing
@@ -663,10 +663,10 @@ class TransactionGuard:
 
     def _read_block(self, id: int, block: Block) -> Reply:
         start = self._prepare("read", 1, block.size)
-        started = self._clock()
+        started = self.clock()
         try:
             data, status = self._io.read(id, block.address, block.size)
-            self.held_back = min(self.held_back, self._clock() - started - self._wire)
+            self.held_back = min(self.held_back, self.clock() - started - self._wire)
             if len(data) != block.size:
                 raise _mismatch(id, block, data, status)
         except BusError:
@@ -693,10 +693,10 @@ class TransactionGuard:
             BusError: Every block has the length of a missing reply, and no time is left in the
                 cycle to read another length first.
         """
-        found = self._pending.choose(ids, blocks, self._clock())
+        found = self._pending.choose(ids, blocks, self.clock())
         if found is not None:
             return found
-        if not self._is_relaxed:
+        if not self.is_relaxed:
             raise BusError(f"id {ids[0]} may still send a late answer like this one", "late")
         for id in ids:
             self._resolve(id)
@@ -717,28 +717,29 @@ class TransactionGuard:
 
         An urgent request has the same timeout outside of control cycles as within.
         """
-        times = self._times.get((kind, servos, size)) or self._request_times(kind, servos, size)
-        self._wire, timeout = times
-        if self._is_relaxed and not is_urgent:
+        self._wire, timeout = self.request_times(kind, servos, size)
+        if self.is_relaxed and not is_urgent:
             timeout *= RELAXED_FACTOR
         self._reply_timeout = timeout
         if timeout != self._timeout:
             self._set_timeout(timeout)
-        self.counters.transactions += 1
-        return self._sample_clock()
+        self.transactions += 1
+        return self.sample_clock()
 
-    def _request_times(self, kind: Kind, servos: int, size: int) -> tuple[float, float]:
-        """Store and return the wire time of a request, and its timeout within a cycle [s]."""
-        wire = wire_time(
-            self._protocol,
-            kind,
-            servos,
-            size,
-            baudrate=self._baudrate,
-            response_delay=self.response_delay,
-        )
-        timeout = reply_timeout(wire, self.latency, self._cycle, self._reply_timeout_min)
-        times = self._times[kind, servos, size] = wire, timeout
+    def request_times(self, kind: Kind, servos: int, size: int) -> tuple[float, float]:
+        """Return the wire time of a request, and its timeout within a cycle [s]."""
+        times = self._times.get((kind, servos, size))
+        if times is None:
+            wire = wire_time(
+                self._protocol,
+                kind,
+                servos,
+                size,
+                baudrate=self._baudrate,
+                response_delay=self.response_delay,
+            )
+            timeout = reply_timeout(wire, self.latency, self._cycle, self._reply_timeout_min)
+            times = self._times[kind, servos, size] = wire, timeout
         return times
 
     def _set_timeout(self, timeout: float) -> None:
@@ -750,7 +751,7 @@ class TransactionGuard:
 
         After a temporary failure, drain the line and call again if the time in the cycle allows.
         """
-        tries = TRIES if self._is_relaxed else 2
+        tries = TRIES if self.is_relaxed else 2
         while True:
             try:
                 return call(*args, **options)
@@ -759,7 +760,7 @@ class TransactionGuard:
                 if tries == 0 or error.reason in {"gone", "noisy"}:
                     raise
                 if not self._drain():
-                    if self._is_relaxed:
+                    if self.is_relaxed:
                         raise BusError(NOISE_MESSAGE, "noisy") from error
                     raise
                 if self._is_late():
@@ -768,7 +769,7 @@ class TransactionGuard:
 
     def _is_late(self) -> bool:
         """Return True if a request that is sent now could time out after the end of the cycle."""
-        return self._clock() + self._reply_timeout > self._deadline
+        return self.clock() + self._reply_timeout > self.deadline
 
     def _clear_line(self) -> None:
         """Drain the line if the last request failed.
@@ -777,8 +778,8 @@ class TransactionGuard:
             BusError: The port is gone, or the line cannot be drained.
         """
         self.check_port()
-        if self._is_dirty and not self._drain():
-            if self._is_relaxed:
+        if self.is_dirty and not self._drain():
+            if self.is_relaxed:
                 raise BusError(NOISE_MESSAGE, "noisy")
             raise BusError("no time left in this cycle", "late")
 
@@ -793,7 +794,7 @@ class TransactionGuard:
 
     def _note_failure(self, error: BusError) -> None:
         """Count a failed request by its reason; the line is drained before the next one."""
-        self._is_dirty = True
+        self.is_dirty = True
         if error.reason == "gone":
             self.is_gone = True
         name = _COUNTER_OF_REASON.get(error.reason)
@@ -808,23 +809,23 @@ class TransactionGuard:
         must be silent for a reply timeout, and the drain gives up after `DRAIN` plus this time.
         """
         self.counters.drains += 1
-        is_relaxed = self._is_relaxed
+        is_relaxed = self.is_relaxed
         silence = SILENCE_SHARE * self._reply_timeout_min + self._wire + self.latency
         if is_relaxed:
             silence = max(silence, self._reply_timeout)
-        end = self._deadline
+        end = self.deadline
         if is_relaxed:
-            end = self._clock() + silence + (DRAIN_AGAIN if self.is_noisy else DRAIN)
+            end = self.clock() + silence + (DRAIN_AGAIN if self.is_noisy else DRAIN)
         self._set_timeout(silence)
-        while (started := self._clock()) + silence <= end:
+        while (started := self.clock()) + silence <= end:
             try:
                 self._io.ping(self.unused_id)
             except BusError as error:
                 if error.reason == "gone":
                     self.is_gone = True
                     raise
-            if self._clock() - started >= silence:
-                self._is_dirty = self.is_noisy = False
+            if self.clock() - started >= silence:
+                self.is_dirty = self.is_noisy = False
                 return True
         self.is_noisy = self.is_noisy or is_relaxed
         return False

@@ -5,12 +5,15 @@ from __future__ import annotations
 import math
 import time
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pliant._core import (
+    BusCycle,
+    BusStatus,
     ConfigError,
     JointReadings,
     OutOfRangeError,
@@ -20,7 +23,7 @@ from pliant._core import (
 )
 from pliant.drive import Clock, ServoStatus
 from pliant.servo import _enable as sequences
-from pliant.servo._device import Changes, Device
+from pliant.servo._device import Device
 from pliant.servo._handshake import ServoInfo, identify
 from pliant.servo._port import Port, StatusPoller
 from pliant.servo._transactions import check_reply_timeout
@@ -34,7 +37,7 @@ if TYPE_CHECKING:
 
     from pliant._core import Servos
     from pliant._typing import Array, Mask
-    from pliant.servo._transactions import Counters
+    from pliant.servo._transactions import Received, TransactionGuard
     from pliant.servo.models.base import Protocol as Wire
     from pliant.servo.transport import Transport
 
@@ -76,7 +79,7 @@ def check_agreement(joint: Sequence[Device]) -> None:
 BUDGET = 3.0
 
 
-class ServoBus:
+class ServoBus(BusCycle):
     """Reads and writes all servos of an arm: goals in rad, torque limits in N·m.
 
     Limits are clamped to the largest value that the servo's registers allow, and goals to the
@@ -169,6 +172,7 @@ class ServoBus:
             if len(self._ports) > 1:
                 self._pool = ThreadPoolExecutor(len(self._ports), "pliant-bus")
             self._read_first()
+            self._start_usual_cycles()
         except BaseException:
             self.close()
             raise
@@ -245,6 +249,7 @@ class ServoBus:
                     f"no answer from {names}: torque may be on"
                     + (" there, it is off in all other servos" if others else "")
                 )
+            self._start_usual_cycles()
         except BaseException:
             self.close()
             raise
@@ -266,6 +271,7 @@ class ServoBus:
 
     def close(self) -> None:
         """Close the ports; the servos hold their last goal and limit."""
+        self.end_cycles()
         for port in self._ports:
             port.close()
         self._ports, self._watched_ports, self._port_of = [], [], {}
@@ -365,8 +371,9 @@ class ServoBus:
         """
         kinds = ("mismatches", "alerts", "trips")
         total = {kind: sum(getattr(device, kind) for device in self._devices) for kind in kinds}
-        for counters in self._counters:
-            for name, value in asdict(counters).items():
+        total["transactions"] = sum(guard.transactions for guard in self._guards)
+        for guard in self._guards:
+            for name, value in asdict(guard.counters).items():
                 total[name] = total.get(name, 0) + value
         return total
 
@@ -422,46 +429,52 @@ class ServoBus:
         """
         return np.array([any(d.is_refusing for d in joint) for joint in self._joints])
 
-    def read(self) -> JointReadings:
-        """Read all joints; a joint without a reply has `ok` False and keeps its last position.
+    # `BusCycle` has the methods `read`, `write` and `poll_status`. While nothing needs attention,
+    # they make the requests themselves; otherwise they call those that follow.
 
-        Raises:
-            ServoError: All ports are gone. If only some ports are gone, their joints have a fault.
-        """
+    def _start_usual_cycles(self) -> None:
+        """Let `BusCycle` make the requests if one request reads all joints."""
+        if len(self._ports) == 1 and not self._doubled:
+            self._ports[0].start_usual_cycles(self, self._budget)
+
+    def _read_each(self) -> JointReadings:
+        """Read all joints, port by port or in parallel; see `read`."""
         if not self._ports:
             self._check_open()
         found: JointReadings | list[int]
         if self._pool is None:
             found = self._ports[0].read(self._budget)
-            if isinstance(found, JointReadings) and not self._doubled:
-                return found
         else:
             accepted = self._pool.map(lambda port: port.read(self._budget), self._ports)
             # Several ports return indices: only a single port returns `JointReadings`.
             found = [i for of_port in accepted if isinstance(of_port, list) for i in of_port]
-        for port in self._ports:
-            if port.guard.is_gone:
-                self._report_lost_ports()
+        if isinstance(found, JointReadings) and not self._doubled:
+            return found
+        return self._readings(found)
+
+    def _finish_read(
+        self, found: Received | OSError, has_status: bool, times: tuple[float, float]
+    ) -> JointReadings:
+        """Return the readings of all joints after a request that needs attention.
+
+        Args:
+            found: The replies, or the error of the port.
+            has_status: True if the request was for the status registers too.
+            times: Time of the request on the clocks of timeouts and of readings [s].
+        """
+        return self._readings(self._ports[0].finish_read(found, times, has_status=has_status))
+
+    def _readings(self, found: JointReadings | list[int]) -> JointReadings:
+        """Return the readings of all joints, given them or the indices of the servos read."""
+        self._check_ports()
         for joint in self._doubled:
             check_agreement(joint)
         return found if isinstance(found, JointReadings) else self._codec.joints(found)
 
-    def write(self, goal: ArrayLike, limit: ArrayLike, velocity: ArrayLike | None = None) -> None:
-        """Send goal and limit of all enabled joints, in one packet per port and kind of servo.
-
-        Args:
-            goal: Joint goals (n,) [rad]; clamped to the joint's range.
-            limit: Torque limits (n,) [N·m], at least 0; rounded down to the register, clamped to
-                the servo's ceiling.
-            velocity: Largest joint speeds (n,) [rad/s], at least 0; the argument `speed` of the bus
-                bounds them, and is the default.
-
-        Raises:
-            ShapeError, ConfigError: A vector is not (n,), or a number is not finite or negative,
-                also of a joint that is not enabled. Nothing is sent.
-            ServoError: All ports are gone. Other packets that cannot be sent are counted, and the
-                last goal and limit stay in force.
-        """
+    def _write_each(
+        self, goal: ArrayLike, limit: ArrayLike, velocity: ArrayLike | None = None
+    ) -> None:
+        """Send a command port by port; see `write`."""
         if not self._ports:
             self._check_open()
         command = (goal, limit, velocity, self._speed or 0.0)
@@ -479,20 +492,18 @@ class ServoBus:
             if velocity is not None:
                 self._vector(velocity, "velocity", unit="rad/s", unlimited=True)
             raise
-        for port in self._ports:
-            if port.guard.is_gone:
-                self._report_lost_ports()
+        self._check_ports()
+        if len(self._ports) == 1:
+            self._ports[0].start_usual_writes(self, self._speed or 0.0)
 
-    def poll_status(self) -> ServoStatus | None:
-        """Read status registers of one servo, in turn.
+    def _finish_write(self, error: OSError) -> None:
+        """Note that a packet could not be sent because of this error of the port."""
+        with suppress(BusError):
+            self._ports[0].finish_write(error)
+        self._check_ports()
 
-        Return voltage, temperature and faults of its joint as last read; None if no reply came, or
-        if the torque state of a port's servos was read instead. Call this method once per cycle,
-        after `read` and `write`.
-
-        Raises:
-            ServoError: All ports are gone.
-        """
+    def _poll_each(self) -> ServoStatus | None:
+        """Read status registers of one servo; see `poll_status`."""
         if not self._ports:
             self._check_open()
         try:
@@ -504,10 +515,16 @@ class ServoBus:
                 port.clear_watchdogs(port.devices)
             except BusError:
                 continue
+        self._check_ports()
+        if len(self._ports) == 1 and not self._watched_ports:
+            self._poller.start_usual_polls(self)
+        return status
+
+    def _check_ports(self) -> None:
+        """Report the ports that are gone, see `_report_lost_ports`."""
         for port in self._ports:
             if port.guard.is_gone:
                 self._report_lost_ports()
-        return status
 
     # Methods that switch torque on and off.
 
@@ -584,16 +601,17 @@ class ServoBus:
     def _reset(self) -> None:
         """Create new devices, counters and status poller; discard all state read from servos."""
         #: Servos of each joint, the primary servo first.
-        changes = Changes()
+        status = BusStatus([0.0] * sum(len(spec.servos) for spec in self.specs))
         self._joints = [
-            [Device(spec, i, number, sign, changes) for number, sign in spec.servos]
+            [Device(spec, i, number, sign, status) for number, sign in spec.servos]
             for i, spec in enumerate(self.specs)
         ]
         self._devices = [device for joint in self._joints for device in joint]
         self._doubled = [joint for joint in self._joints if len(joint) > 1]
         self._silent = []
         self._poller = StatusPoller(self._joints)
-        self._counters: list[Counters] = []
+        #: Guards of the ports opened since, also of those closed again.
+        self._guards: list[TransactionGuard] = []
         self._attach()
 
     def _attach(self) -> None:
@@ -616,7 +634,7 @@ class ServoBus:
         self._ports.append(port)
         if port.has_watchdog:
             self._watched_ports.append(port)
-        self._counters.append(port.guard.counters)
+        self._guards.append(port.guard)
         self._port_of.update({id(device): port for device in devices})
         return port
 

@@ -28,7 +28,7 @@ pub(crate) struct CommandLimiter {
     model: Py<Model>,
     thermal: Py<ThermalModel>,
     /// Names of the joints off the chain.
-    extra: Py<PyTuple>,
+    pub(crate) extra: Py<PyTuple>,
     max_jumps: u32,
     max_heat: f64,
     /// Voltage and temperature of the next states.
@@ -92,7 +92,7 @@ impl CommandLimiter {
     #[pyo3(signature = (goal, limit, velocity, positions, off_chain, ramp, ramp_start, *, lead))]
     #[expect(clippy::too_many_arguments, reason = "a command and the state of the arm")]
     #[expect(clippy::needless_pass_by_value, reason = "PyO3 passes extracted arguments by value")]
-    fn limit<'py>(
+    pub(crate) fn limit<'py>(
         &mut self,
         goal: &Bound<'py, PyAny>,
         limit: &Bound<'py, PyAny>,
@@ -141,7 +141,7 @@ impl CommandLimiter {
 
     #[doc = stub!(CommandLimiter.update)]
     #[pyo3(signature = (positions, readings, goal, limit, dt, now))]
-    fn update(
+    pub(crate) fn update(
         &mut self,
         positions: &Bound<'_, PositionFilter>,
         readings: &Bound<'_, JointReadings>,

@@ -13,6 +13,7 @@ struct Classes {
     out_of_range: Py<PyType>,
     shape: Py<PyType>,
     config: Py<PyType>,
+    servo_timeout: Py<PyType>,
 }
 
 static CLASSES: PyOnceLock<Classes> = PyOnceLock::new();
@@ -35,7 +36,8 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     let base = class("PliantError", stub!(PliantError), &[&py.get_type::<PyException>()], &[])?;
     let base = base.bind(py);
     let servo = class("ServoError", stub!(ServoError), &[base], &[])?;
-    class("ServoTimeoutError", stub!(ServoTimeoutError), &[servo.bind(py), &py.get_type::<PyTimeoutError>()], &[])?;
+    let timeout = &py.get_type::<PyTimeoutError>();
+    let servo_timeout = class("ServoTimeoutError", stub!(ServoTimeoutError), &[servo.bind(py), timeout], &[])?;
     class("ServoFaultError", stub!(ServoFaultError), &[servo.bind(py)], &[])?;
     let value_error = &py.get_type::<PyValueError>();
     let classes = Classes {
@@ -54,9 +56,22 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
         )?,
         shape: class("ShapeError", stub!(ShapeError), &[base, value_error], &["what", "got", "expected"])?,
         config: class("ConfigError", stub!(ConfigError), &[base, value_error], &["key"])?,
+        servo_timeout,
     };
     CLASSES.get_or_init(py, || classes);
     Ok(())
+}
+
+/// Returns true for a `ServoTimeoutError`.
+pub(crate) fn is_timeout(py: Python<'_>, error: &PyErr) -> bool {
+    CLASSES.get(py).is_some_and(|classes| error.matches(py, &classes.servo_timeout).unwrap_or_default())
+}
+
+/// Returns true for a `ShapeError`, an `OutOfRangeError` or a `TypeError`.
+pub(crate) fn is_bad_value(py: Python<'_>, error: &PyErr) -> bool {
+    let is_of = |class: &Py<PyType>| error.matches(py, class).unwrap_or_default();
+    error.is_instance_of::<PyTypeError>(py)
+        || CLASSES.get(py).is_some_and(|classes| is_of(&classes.shape) || is_of(&classes.out_of_range))
 }
 
 /// Returns the Python exception for an error of the core.

@@ -5,14 +5,18 @@
 include!(concat!(env!("OUT_DIR"), "/stub.rs"));
 
 mod arguments;
+mod arm_cycle;
 mod arm_points;
 mod batch;
+mod bus_cycle;
+mod bus_status;
 mod command;
 mod command_limiter;
 mod contact;
 mod controller;
 mod diagnostics;
 mod error;
+mod exclusive_access;
 mod extras;
 mod fields;
 mod functions;
@@ -28,6 +32,7 @@ mod model;
 mod ndarray;
 mod options;
 mod pickle;
+mod port_state;
 mod pose;
 mod position_filter;
 mod read;
@@ -57,7 +62,13 @@ mod _core {
     use pyo3::prelude::*;
 
     #[pymodule_export]
+    use crate::arm_cycle::ArmCycle;
+    #[pymodule_export]
     use crate::arm_points::ArmPoints;
+    #[pymodule_export]
+    use crate::bus_cycle::BusCycle;
+    #[pymodule_export]
+    use crate::bus_status::BusStatus;
     #[pymodule_export]
     use crate::command::Command;
     #[pymodule_export]
@@ -68,6 +79,8 @@ mod _core {
     use crate::controller::Controller;
     #[pymodule_export]
     use crate::diagnostics::Diagnostics;
+    #[pymodule_export]
+    use crate::exclusive_access::ExclusiveAccess;
     #[pymodule_export]
     use crate::functions::{
         activation, adapt_target, compliance, damped_pseudo_inverse, holding_torque, joint_torque_limits,
@@ -87,6 +100,8 @@ mod _core {
     use crate::model::Model;
     #[pymodule_export]
     use crate::options::Payload;
+    #[pymodule_export]
+    use crate::port_state::PortState;
     #[pymodule_export]
     use crate::pose::{Pose, as_pose};
     #[pymodule_export]

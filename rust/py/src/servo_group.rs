@@ -29,7 +29,7 @@ impl ServoGroup {
     }
 
     #[doc = stub!(ServoGroup.read)]
-    fn read<'py>(
+    pub(crate) fn read<'py>(
         &self,
         py: Python<'py>,
         block: [usize; 2],
@@ -65,7 +65,7 @@ impl ServoGroup {
     #[doc = stub!(ServoGroup.write)]
     #[expect(clippy::too_many_arguments, reason = "a command, and its packets")]
     #[expect(clippy::needless_pass_by_value, reason = "PyO3 passes extracted arguments by value")]
-    fn write(
+    pub(crate) fn write(
         &self,
         py: Python<'_>,
         blocks: Vec<[usize; 2]>,

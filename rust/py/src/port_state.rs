@@ -1,0 +1,67 @@
+//! Python class `PortState`: state of the requests on one serial port.
+
+use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyTuple};
+
+#[doc = stub!(PortState)]
+#[pyclass(module = "pliant._core", subclass)]
+#[derive(Debug)]
+pub(crate) struct PortState {
+    #[pyo3(get, set)]
+    pub(crate) is_dirty: bool,
+    #[pyo3(get, set)]
+    pub(crate) is_gone: bool,
+    #[pyo3(get, set)]
+    pub(crate) is_relaxed: bool,
+    #[pyo3(get, set)]
+    pub(crate) deadline: f64,
+    #[pyo3(get, set)]
+    pub(crate) transactions: u64,
+    #[pyo3(get)]
+    missing: Py<PyDict>,
+    #[pyo3(get, set)]
+    clock: Py<PyAny>,
+    #[pyo3(get, set)]
+    sample_clock: Py<PyAny>,
+}
+
+impl PortState {
+    /// Returns true if the last request has not failed, and no reply is missing.
+    pub(crate) fn is_clear(&self, py: Python<'_>) -> bool {
+        !(self.is_dirty || self.is_gone) && self.missing.bind(py).is_empty()
+    }
+
+    /// Starts a control cycle of `budget` [s] with a request; returns its time [s] on the clock of timeouts and on that
+    /// of readings.
+    pub(crate) fn start_cycle(slf: &Bound<'_, Self>, budget: f64) -> PyResult<[f64; 2]> {
+        let py = slf.py();
+        let (clock, sample_clock) = {
+            let state = slf.borrow();
+            (state.clock.clone_ref(py), state.sample_clock.clone_ref(py))
+        };
+        let started = clock.call0(py)?.extract(py)?;
+        let sampled = sample_clock.call0(py)?.extract(py)?;
+        let mut state = slf.borrow_mut();
+        (state.deadline, state.is_relaxed) = (started + budget, false);
+        state.transactions += 1;
+        Ok([started, sampled])
+    }
+}
+
+#[pymethods]
+impl PortState {
+    #[new]
+    #[pyo3(signature = (*_args, **_options))]
+    fn new(py: Python<'_>, _args: &Bound<'_, PyTuple>, _options: Option<&Bound<'_, PyDict>>) -> Self {
+        Self {
+            is_dirty: false,
+            is_gone: false,
+            is_relaxed: true,
+            deadline: f64::INFINITY,
+            transactions: 0,
+            missing: PyDict::new(py).unbind(),
+            clock: py.None(),
+            sample_clock: py.None(),
+        }
+    }
+}
