@@ -70,11 +70,11 @@ STAGES = {
     "loop": "loop, `Tick.step`",
     "read": "`Arm.read`: checks, thermal model, state",
     "decode": "drive: decode",
-    "read bytes": "drive: transactions of the reading, for so101 with decode",
+    "read bytes": "drive: transactions of the reading; so101: with decode",
     "step": "`Controller.step`",
     "write": "`Arm.write`: checks, budgets, ramp",
     "encode": "drive: encode",
-    "write bytes": "drive: transaction of the goals",
+    "write bytes": "drive: transaction of the goals; so101: with encode",
     "status": "drive: status of one servo",
     "status bytes": "drive: transaction of the status",
 }
@@ -320,7 +320,7 @@ class Rig:
         def note() -> None:
             ticks.append([])
 
-        with self._instrumented(recorded):
+        with self._instrumented(recorded), self._groups_in_python(recorded):
             self.ticks(note, lambda: None, each=note)
         converted = [
             [self.of_rustypot(call, args) for call, args in tick] for tick in ticks[:BLOCK]
@@ -421,8 +421,8 @@ class Rig:
             (arm.clock, "wait_until", "wait"),
             (arm, "read", "read"),
             (arm, "write", "write"),
-            (drive, "read", "decode"),
-            (drive, "write", "encode"),
+            (drive, "read", "read bytes" if self.groups else "decode"),
+            (drive, "write", "write bytes" if self.groups else "encode"),
             (drive, "poll_status", "status"),
         )
         with ExitStack() as stack:
@@ -430,15 +430,29 @@ class Rig:
                 stack.enter_context(replaced(owner, name, timed(getattr(owner, name), stage)))
             step = {"step": timed(self.controller.step, "step")}
             stack.enter_context(replaced(self, "controller", Wrapped(self.controller, step)))
-            for group, _ in self.groups:
-                core = group.core
-                calls = {name: timed(getattr(core, name), "bytes") for name in ("read", "write")}
-                stack.enter_context(replaced(group, "core", Wrapped(core, calls)))
             for port in self.ports:
                 io = port.guard._io
                 calls = {name: timed(getattr(io, name), "bytes") for name in CALLS}
                 stack.enter_context(replaced(port.guard, "_io", Wrapped(io, calls)))
             yield
+
+    @contextmanager
+    def _groups_in_python(self, timed: Callable[[Any, str], Callable[..., Any]]) -> Iterator[None]:
+        """Let Python make the requests of `groups`, by `timed(function, "bytes")`."""
+        if not self.groups:
+            yield
+            return
+        drive: Any = self.arm.drive
+        with ExitStack() as stack:
+            for port in self.ports:
+                stack.enter_context(replaced(port, "start_usual_writes", lambda *_: None))
+            for group, _ in self.groups:
+                core = group.core
+                calls = {name: timed(getattr(core, name), "bytes") for name in ("read", "write")}
+                stack.enter_context(replaced(group, "core", Wrapped(core, calls)))
+            drive.end_cycles()
+            yield
+        drive._start_usual_cycles()
 
 
 @contextmanager

@@ -20,6 +20,7 @@ from typing import (
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from typing_extensions import disjoint_base
 
 from pliant.drive import Clock, Drive, ServoStatus
 
@@ -3467,6 +3468,7 @@ class ServoCodec:
         Unless `position` [counts] is NaN, store it with turns and time [s] as the last reading.
         """
 
+@disjoint_base
 class PortState:
     """State of the requests on one serial port, of which `TransactionGuard` makes the most.
 
@@ -3528,6 +3530,7 @@ class BusStatus:
     def matched(self, servo: int) -> float:
         """Return the last time at which the status registers of a servo were as written [s]."""
 
+@disjoint_base
 class BusCycle:
     """Control cycle of a servo bus: each request in one call while nothing needs attention.
 
@@ -3581,11 +3584,7 @@ class BusCycle:
             status: BusStatus,
             group: ServoGroup,
             misses: dict[int, int],
-            blocks: tuple[tuple[int, int], tuple[int, int]],
-            timeouts: tuple[float, float],
-            last: int,
-            longest: float,
-            budget: float,
+            numbers: ArrayLike,
         ) -> None:
             """Set how to read all servos with one request, and forget how to write and poll.
 
@@ -3594,19 +3593,20 @@ class BusCycle:
                 status: What is known of the servos' status.
                 group: All servos of the bus.
                 misses: Numbers of missed readings of silent servos.
-                blocks: Address and size of the registers of a reading, without and with status.
-                timeouts: Timeouts of the two requests [s].
-                last: Servo whose status is taken last.
-                longest: Age of the last readings above which new ones are not stored [s].
-                budget: Time after which a cycle makes no further request [s].
+                numbers: 9 numbers. Address and size of the registers of a reading without status,
+                    and of one with it; timeouts of these requests [s]; servo whose status is taken
+                    last; age of the last readings above which new ones are not stored [s]; time
+                    after which a cycle makes no further request [s].
+
+            Raises:
+                ShapeError: Not 9 numbers.
             """
 
         def set_writing(
             self,
             group: ServoGroup,
             blocks: Sequence[tuple[int, int]],
-            timeouts: tuple[float, float],
-            max_speed: float,
+            numbers: ArrayLike,
             torque_changes: int,
         ) -> None:
             """Set how to write, as long as `BusStatus.torque_changes` has this value.
@@ -3614,14 +3614,20 @@ class BusCycle:
             Args:
                 group: All servos of the bus.
                 blocks: Address and size of each packet.
-                timeouts: Timeouts of a packet in a control cycle and outside [s].
-                max_speed: Upper bound of the speeds [rad/s].
+                numbers: 3 numbers. Timeouts of a packet in a control cycle and outside [s]; upper
+                    bound of the speeds [rad/s].
                 torque_changes: The present value of `BusStatus.torque_changes`.
+
+            Raises:
+                ShapeError: Not 3 numbers.
             """
 
-        def set_polling(self, steps: Sequence[tuple[int, ServoStatus]], changes: int) -> None:
+        def set_polling(
+            self, servos: Sequence[int], statuses: tuple[ServoStatus, ...], changes: int
+        ) -> None:
             """Set servo and status of each step, as long as `BusStatus.changes` has this value."""
 
+@disjoint_base
 class ExclusiveAccess:
     """Lock of an arm, and the time of the last access to it.
 
@@ -3631,6 +3637,7 @@ class ExclusiveAccess:
     Args:
         lock: Lock that the thread with access to the drive holds.
         not_forked: Memory whose first byte is 0 in a forked process.
+        clock: Function that returns the time [s].
 
     Attributes:
         reason: Reason for which no access is possible; None: it is.
@@ -3640,7 +3647,7 @@ class ExclusiveAccess:
 
     reason: str | None
     last_call: float
-    def __new__(cls, lock: Any, not_forked: Any) -> Self: ...
+    def __new__(cls, lock: Any, not_forked: Any, clock: Callable[[], float]) -> Self: ...
     @property
     def lock(self) -> threading.RLock: ...
     @property
@@ -3653,6 +3660,7 @@ class ExclusiveAccess:
     def __exit__(self, *_exception: object) -> None:
         """Note the time, and release the lock."""
 
+@disjoint_base
 class ArmCycle:
     """Readings and commands of all N joints of a drive, as far as every control cycle needs them.
 

@@ -60,7 +60,7 @@ def test_the_guardian_sees_accesses_beats_and_the_timeout():
 
 @pytest.mark.parametrize("owner", ["none", "this", "another"])
 def test_a_forked_process_has_no_access_to_an_arm_with_torque(monkeypatch, owner):
-    monkeypatch.setattr(_supervisor, "_NOT_FORKED", (0,))
+    monkeypatch.setattr(_supervisor, "_NOT_FORKED", bytes(1))
     supervisor = Supervisor(lambda: None)
     supervisor.owner = {"none": None, "this": os.getpid(), "another": os.getppid()}[owner]
     for context in (lambda: supervisor, supervisor.exclusive):

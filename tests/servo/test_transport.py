@@ -241,7 +241,8 @@ def test_no_reading_is_stored_unless_all_replies_are_valid(at_once):
         def __init__(self, guard):
             self.guard, status = guard, BusStatus([0.0, 0.0])
             status.set_new(1, True)
-            self.set_reading(guard, status, group, {}, (block, block), (0.05, 0.05), 1, 9.0, 1.0)
+            numbers = (*block, *block, 0.05, 0.05, 1, 9.0, 1.0)
+            self.set_reading(guard, status, group, {}, numbers)
 
         def _finish_read(self, found, has_status, times):
             assert not has_status
@@ -289,7 +290,8 @@ def test_no_reading_is_stored_unless_all_replies_are_valid(at_once):
     guard = TransactionGuard(port.io, "p1", baudrate=1_000_000, sample_clock=lambda: 0.01)
     found = Bus(guard).read()
     assert isinstance(found, JointReadings)
-    assert not (guard.is_dirty or guard.missing)
+    assert not guard.is_dirty
+    assert not guard.missing
     assert values() == [getattr(found, name).tolist() for name in READINGS] != before
     port.close()
     with pytest.raises(OSError, match="serial port"):

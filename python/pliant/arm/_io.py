@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from pliant._core import Model, Servos, State
     from pliant._typing import Array, Mask
     from pliant.arm.thermal import Budget
-    from pliant.drive import Clock, Drive, ServoStatus
+    from pliant.drive import Drive, ServoStatus
 
     Orders = Mapping[str, tuple[float, float]]
 

@@ -98,7 +98,7 @@ class Supervisor(ExclusiveAccess):
 
     def __new__(cls, leave: Callable[[], None]) -> Self:
         """Create the lock."""
-        return super().__new__(cls, threading.RLock(), _NOT_FORKED)
+        return super().__new__(cls, threading.RLock(), _NOT_FORKED, time.perf_counter)
 
     def __init__(self, leave: Callable[[], None]) -> None:
         """Store `leave`, which lowers the arm or leaves it on; it is called with `lock` held."""

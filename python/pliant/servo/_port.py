@@ -27,7 +27,7 @@ if sys.platform != "win32":
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 
-    from pliant._core import BusCycle, BusStatus, SerialPort
+    from pliant._core import BusCycle, SerialPort
     from pliant.servo._device import Device
     from pliant.servo._transactions import Received
     from pliant.servo.models.base import Block
@@ -256,17 +256,11 @@ class Port:
         plain, with_status = (
             self.guard.request_times("sync_read", len(group.ids), block.size)[1] for block in blocks
         )
-        bus.set_reading(
-            self.guard,
-            self._status,
-            group.core,
-            self.misses,
-            blocks,
-            (plain, with_status),
-            group.last.index,
-            self._restart,
-            budget,
+        numbers = (
+            *(*blocks[0], *blocks[1], plain, with_status),
+            *(group.last.index, self._restart, budget),
         )
+        bus.set_reading(self.guard, self._status, group.core, self.misses, numbers)
 
     def start_usual_writes(self, bus: BusCycle, max_speed: float) -> None:
         """Let `bus` send commands to all servos with one packet per block, if it can.
@@ -280,13 +274,8 @@ class Port:
             return
         size = group.write_blocks[-1].size
         timeout = self.guard.request_times("sync_write", len(group.ids), size)[1]
-        bus.set_writing(
-            group.core,
-            group.write_blocks,
-            (timeout, timeout * RELAXED_FACTOR),
-            max_speed,
-            self._status.torque_changes,
-        )
+        numbers = timeout, timeout * RELAXED_FACTOR, max_speed
+        bus.set_writing(group.core, group.write_blocks, numbers, self._status.torque_changes)
 
     def _grouped(self, devices: Iterable[Device]) -> list[Group]:
         """Return the devices in groups; one sync read, or single reads, read a group."""
@@ -727,8 +716,9 @@ class StatusPoller:
             return
         if self._reads_torque or not all(device.is_driven for device in self._devices):
             return
-        steps = [(device.index, self._status_of(device.joint)) for device, _ in self._steps]
-        bus.set_polling(steps, self._seen)
+        devices = [device for device, _ in self._steps]
+        statuses = tuple(self._status_of(device.joint) for device in devices)
+        bus.set_polling([device.index for device in devices], statuses, self._seen)
 
     def _check_torque(self, ports: Mapping[int, Port]) -> bool:
         """Read with one request whether torque is on, for all enabled servos of one port.

@@ -7,7 +7,14 @@ use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 
 #[cfg(unix)]
-use crate::{bus_status::BusStatus, joint_readings::JointReadings, port_state::PortState, servo_group::ServoGroup};
+use crate::{
+    bus_status::BusStatus,
+    error::{shape, tuple},
+    joint_readings::JointReadings,
+    port_state::PortState,
+    read::vector,
+    servo_group::ServoGroup,
+};
 
 #[doc = stub!(BusCycle)]
 #[pyclass(module = "pliant._core", subclass)]
@@ -59,8 +66,10 @@ struct Writing {
 #[cfg(unix)]
 #[derive(Debug)]
 struct Polling {
-    /// Servo, and status of its joint, of each step.
-    steps: Vec<(usize, Py<PyAny>)>,
+    /// Servo of each step.
+    servos: Vec<usize>,
+    /// Status of its joint.
+    statuses: Py<PyTuple>,
     /// Value of `BusStatus.changes` for which this holds.
     changes: u64,
 }
@@ -149,13 +158,14 @@ impl BusCycle {
     fn poll_usual<'py>(&self, py: Python<'py>) -> Option<Bound<'py, PyAny>> {
         let (reading, polling) = (self.reading.as_ref()?, self.polling.as_ref()?);
         let mut status = reading.status.borrow_mut(py);
-        let (servo, found) = polling.steps.get(status.next_step)?;
-        if polling.changes != status.changes || !status.has_new(*servo) || reading.port.borrow(py).is_gone {
+        let servo = *polling.servos.get(status.next_step)?;
+        if polling.changes != status.changes || !status.has_new(servo) || reading.port.borrow(py).is_gone {
             return None;
         }
-        status.set_new(*servo, false);
-        status.next_step = (status.next_step + 1) % polling.steps.len();
-        Some(found.bind(py).clone())
+        let found = polling.statuses.bind(py).get_item(status.next_step).ok()?;
+        status.set_new(servo, false);
+        status.next_step = (status.next_step + 1) % polling.servos.len();
+        Some(found)
     }
 }
 
@@ -211,21 +221,32 @@ impl BusCycle {
 #[pymethods]
 impl BusCycle {
     #[doc = stub!(BusCycle.set_reading)]
-    #[expect(clippy::too_many_arguments, reason = "requests of a port")]
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "addresses, sizes and an index")]
     fn set_reading(
         &mut self,
         port: Py<PortState>,
         status: Py<BusStatus>,
         group: Py<ServoGroup>,
         misses: Py<PyDict>,
-        blocks: [[usize; 2]; 2],
-        timeouts: [f64; 2],
-        last: usize,
-        longest: f64,
-        budget: f64,
-    ) {
+        numbers: &Bound<'_, PyAny>,
+    ) -> PyResult<()> {
+        let numbers = vector("numbers", numbers)?;
+        let &[address, size, with_status, size_with_status, first, second, last, longest, budget] = &numbers[..] else {
+            return Err(shape("numbers", &[numbers.len()], tuple(&[9])));
+        };
         (self.writing, self.polling) = (None, None);
-        self.reading = Some(Reading { port, status, group, misses, blocks, timeouts, last, longest, budget });
+        self.reading = Some(Reading {
+            port,
+            status,
+            group,
+            misses,
+            blocks: [[address, size], [with_status, size_with_status]].map(|block| block.map(|number| number as usize)),
+            timeouts: [first, second],
+            last: last as usize,
+            longest,
+            budget,
+        });
+        Ok(())
     }
 
     #[doc = stub!(BusCycle.set_writing)]
@@ -233,16 +254,21 @@ impl BusCycle {
         &mut self,
         group: Py<ServoGroup>,
         blocks: Vec<[usize; 2]>,
-        timeouts: [f64; 2],
-        max_speed: f64,
+        numbers: &Bound<'_, PyAny>,
         torque_changes: u64,
-    ) {
+    ) -> PyResult<()> {
+        let numbers = vector("numbers", numbers)?;
+        let &[timeout, relaxed_timeout, max_speed] = &numbers[..] else {
+            return Err(shape("numbers", &[numbers.len()], tuple(&[3])));
+        };
+        let timeouts = [timeout, relaxed_timeout];
         self.writing = Some(Writing { group, blocks, timeouts, max_speed, torque_changes });
+        Ok(())
     }
 
     #[doc = stub!(BusCycle.set_polling)]
-    fn set_polling(&mut self, steps: Vec<(usize, Py<PyAny>)>, changes: u64) {
-        self.polling = Some(Polling { steps, changes });
+    fn set_polling(&mut self, servos: Vec<usize>, statuses: Py<PyTuple>, changes: u64) {
+        self.polling = Some(Polling { servos, statuses, changes });
     }
 
     #[doc = stub!(BusCycle.end_cycles)]

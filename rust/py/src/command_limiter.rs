@@ -92,6 +92,7 @@ impl CommandLimiter {
     #[pyo3(signature = (goal, limit, velocity, positions, off_chain, ramp, ramp_start, *, lead))]
     #[expect(clippy::too_many_arguments, reason = "a command and the state of the arm")]
     #[expect(clippy::needless_pass_by_value, reason = "PyO3 passes extracted arguments by value")]
+    #[inline(never)]
     pub(crate) fn limit<'py>(
         &mut self,
         goal: &Bound<'py, PyAny>,
@@ -141,6 +142,7 @@ impl CommandLimiter {
 
     #[doc = stub!(CommandLimiter.update)]
     #[pyo3(signature = (positions, readings, goal, limit, dt, now))]
+    #[inline(never)]
     pub(crate) fn update(
         &mut self,
         positions: &Bound<'_, PositionFilter>,

@@ -6,7 +6,6 @@ use std::sync::atomic::{AtomicU8, AtomicU64, Ordering};
 use pyo3::buffer::PyBuffer;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
-use pyo3::sync::PyOnceLock;
 use pyo3::types::PyTuple;
 
 #[doc = stub!(ExclusiveAccess)]
@@ -21,21 +20,16 @@ pub(crate) struct ExclusiveAccess {
     last_call: f64,
     acquire: Py<PyAny>,
     release: Py<PyAny>,
+    clock: Py<PyAny>,
     /// The memory that Python sees as `heartbeat`, and the same memory as numbers; `None` before the first assignment.
     heartbeat: Option<(Py<PyAny>, PyBuffer<f64>)>,
     not_forked: PyBuffer<u8>,
 }
 
-/// Returns the time of `time.perf_counter` [s], which is the time of `last_call` and `heartbeat`.
-fn perf_counter(py: Python<'_>) -> PyResult<f64> {
-    static FUNCTION: PyOnceLock<Py<PyAny>> = PyOnceLock::new();
-    FUNCTION.import(py, "time", "perf_counter")?.call0()?.extract()
-}
-
 #[pymethods]
 impl ExclusiveAccess {
     #[new]
-    fn new(lock: &Bound<'_, PyAny>, not_forked: &Bound<'_, PyAny>) -> PyResult<Self> {
+    fn new(lock: &Bound<'_, PyAny>, not_forked: &Bound<'_, PyAny>, clock: Py<PyAny>) -> PyResult<Self> {
         let not_forked = PyBuffer::get(not_forked)?;
         if not_forked.item_count() == 0 || !not_forked.is_c_contiguous() {
             return Err(PyValueError::new_err("not_forked has no bytes in a row"));
@@ -44,6 +38,7 @@ impl ExclusiveAccess {
             acquire: lock.getattr("acquire")?.unbind(),
             release: lock.getattr("release")?.unbind(),
             lock: lock.clone().unbind(),
+            clock,
             reason: None,
             last_call: 0.0,
             heartbeat: None,
@@ -91,7 +86,8 @@ impl ExclusiveAccess {
     #[pyo3(signature = (*_exception))]
     fn __exit__(slf: &Bound<'_, Self>, _exception: &Bound<'_, PyTuple>) -> PyResult<()> {
         let py = slf.py();
-        let now = perf_counter(py);
+        let clock = slf.borrow().clock.clone_ref(py);
+        let now = clock.call0(py).and_then(|now| now.extract::<f64>(py));
         let release = {
             let mut access = slf.borrow_mut();
             if let Ok(now) = now {

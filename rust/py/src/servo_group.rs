@@ -29,6 +29,7 @@ impl ServoGroup {
     }
 
     #[doc = stub!(ServoGroup.read)]
+    #[inline(never)]
     pub(crate) fn read<'py>(
         &self,
         py: Python<'py>,
@@ -65,6 +66,7 @@ impl ServoGroup {
     #[doc = stub!(ServoGroup.write)]
     #[expect(clippy::too_many_arguments, reason = "a command, and its packets")]
     #[expect(clippy::needless_pass_by_value, reason = "PyO3 passes extracted arguments by value")]
+    #[inline(never)]
     pub(crate) fn write(
         &self,
         py: Python<'_>,
