@@ -14,7 +14,7 @@ from pliant.arm import Budget, State
 BENCHES = Path(__file__).resolve().parents[2] / "benches"
 #: Largest number of calls per tick, and of calls of functions written in Python among them. A count
 #: needs no idle machine; versions of Python and NumPy differ by some calls.
-CALLS = {"null": (55, 35), "so101": (75, 32)}
+CALLS = {"null": (42, 28), "so101": (34, 14)}
 
 
 @pytest.fixture

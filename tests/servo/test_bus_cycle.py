@@ -45,6 +45,7 @@ def session(emulated, enabled, monkeypatch, events, *, in_core):
         limit = enabled(servo_bus)
         if not in_core:
             servo_bus.end_cycles()
+            servo_bus._has_usual_cycles = False
         bus.sync()
         bus.log.clear()
         calls.clear()

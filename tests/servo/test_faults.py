@@ -744,7 +744,7 @@ def test_every_register_that_may_be_wrong_is_read_again_in_turn():
         other_faults={},
         has_mismatch=True,
         has_suspect_register=True,
-        has_new_status=False,
+        index=0,
         note=lambda _: None,
     )
     guard = SimpleNamespace(is_gone=False, read=lambda _, block: blocks.append(block))

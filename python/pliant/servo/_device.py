@@ -171,15 +171,6 @@ class Device:
         self.bus_status.torque_changes += 1
         self.bus_status.changes += 1
 
-    @property
-    def has_new_status(self) -> bool:
-        """True if a reading contained all status registers, and `StatusPoller` has not taken it."""
-        return self.bus_status.has_new(self.index)
-
-    @has_new_status.setter
-    def has_new_status(self, is_new: bool) -> None:
-        self.bus_status.set_new(self.index, is_new)
-
     def configure(self) -> None:
         """Pass changed registers, units and bounds to the codec."""
         self.bus_status.changes += 1
@@ -327,13 +318,10 @@ class Device:
         In most cycles they equal the written values, which is tested first because it is fast.
         """
         block, data, _, time = reply
-        self.has_new_status = block in self.family.read_with_status[:1]
-        if (
-            self.has_new_status
-            and self.is_driven
-            and self.codec.has_command(self.index, data, block.address)
-        ):
-            self.note_command(time)
+        is_new = block in self.family.read_with_status[:1]
+        self.bus_status.set_new(self.index, is_new)
+        if is_new and self.is_driven and self.codec.has_command(self.index, data, block.address):
+            self._note_match(time)
         else:
             self.note(reply)
 
@@ -346,8 +334,13 @@ class Device:
         return self._enabled and not (self.has_mismatch or self.other_faults)
 
     def note_command(self, time: float) -> None:
-        """Note that at `time` [s] all status registers of a driven servo were as written."""
-        self.has_new_status = self.torque_on = True
+        """Note that at `time` [s] a reading showed all status registers as written."""
+        self.bus_status.set_new(self.index, True)
+        self._note_match(time)
+
+    def _note_match(self, time: float) -> None:
+        """Note that at `time` [s] torque was on, and goal and limit were as written."""
+        self.torque_on = True
         for read_back in self._read_backs.values():
             read_back.wrong, read_back.matched = 0, time
 

@@ -244,14 +244,15 @@ class Port:
         (group,) = self._write_groups
         self.guard.finish_sync_write(len(group.ids), group.write_blocks, error)
 
-    def start_usual_cycles(self, bus: BusCycle, budget: float) -> None:
-        """Let `bus` read all servos with one request while nothing needs attention, if it can.
+    def start_usual_cycles(self, bus: BusCycle, budget: float) -> bool:
+        """Let `bus` read all servos with one request while nothing needs attention.
 
-        `budget` is the time after which a cycle makes no further request [s].
+        `budget` is the time after which a cycle makes no further request [s]. Return False if the
+        servos or the port do not support it.
         """
         group = self._only_group
-        if group is None or group.core is None or budget == inf:
-            return
+        if group is None or group.core is None or self.has_watchdog or budget == inf:
+            return False
         blocks = group.read[0], group.read_with_status[0]
         plain, with_status = (
             self.guard.request_times("sync_read", len(group.ids), block.size)[1] for block in blocks
@@ -261,6 +262,7 @@ class Port:
             *(group.last.index, self._restart, budget),
         )
         bus.set_reading(self.guard, self._status, group.core, self.misses, numbers)
+        return True
 
     def start_usual_writes(self, bus: BusCycle, max_speed: float) -> None:
         """Let `bus` send commands to all servos with one packet per block, if it can.
@@ -487,7 +489,7 @@ class Port:
         """
         decoder = None if self.misses else group.core
         blocks, is_usual, has_status = group.read, group.is_plain, False
-        if group.read_with_status and not group.last.has_new_status:
+        if group.read_with_status and not self._status.has_new(group.last.index):
             blocks, has_status = group.read_with_status, True
             is_usual = all(device.is_driven for device in group.devices)
         try:
@@ -582,7 +584,7 @@ class Port:
             self.guard.counters.retries += not again
             try:
                 family = device.family
-                is_due = not device.has_new_status
+                is_due = not self._status.has_new(device.index)
                 blocks = (is_due and group.read_with_status) or family.read
                 reply = self.guard.read(device.id, *blocks, again=again)
             except BusError as error:
@@ -696,8 +698,8 @@ class StatusPoller:
             chosen = self._steps[self._status.next_step]
             self._status.next_step = (self._status.next_step + 1) % len(self._steps)
             device = chosen[0]
-            if device.has_new_status:
-                device.has_new_status = False
+            if self._status.has_new(device.index):
+                self._status.set_new(device.index, False)
                 return self._status_of(device.joint)
         device, block = chosen
         guard = ports[id(device)].guard
@@ -714,7 +716,7 @@ class StatusPoller:
         """Let `bus` return the statuses of the joints while there are no changes, if it can."""
         if self._seen != self._status.changes or self._doubtful or self._reported:
             return
-        if self._reads_torque or not all(device.is_driven for device in self._devices):
+        if not all(device.is_driven for device in self._devices):
             return
         devices = [device for device, _ in self._steps]
         statuses = tuple(self._status_of(device.joint) for device in devices)

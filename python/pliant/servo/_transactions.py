@@ -717,7 +717,8 @@ class TransactionGuard(PortState):
 
         An urgent request has the same timeout outside of control cycles as within.
         """
-        self._wire, timeout = self.request_times(kind, servos, size)
+        times = self._times.get((kind, servos, size)) or self.request_times(kind, servos, size)
+        self._wire, timeout = times
         if self.is_relaxed and not is_urgent:
             timeout *= RELAXED_FACTOR
         self._reply_timeout = timeout

@@ -141,6 +141,8 @@ class ServoBus(BusCycle):
         self._transport, self.clock = transport, clock
         #: Servos that `reopen` has not reached yet.
         self._silent: list[Device] = []
+        #: True while `BusCycle` makes requests.
+        self._has_usual_cycles = False
         self._reset()
         self._port_of: dict[int, Port] = {}
         self._ports: list[Port] = []
@@ -272,6 +274,7 @@ class ServoBus(BusCycle):
     def close(self) -> None:
         """Close the ports; the servos hold their last goal and limit."""
         self.end_cycles()
+        self._has_usual_cycles = False
         for port in self._ports:
             port.close()
         self._ports, self._watched_ports, self._port_of = [], [], {}
@@ -434,8 +437,9 @@ class ServoBus(BusCycle):
 
     def _start_usual_cycles(self) -> None:
         """Let `BusCycle` make the requests if one request reads all joints."""
-        if len(self._ports) == 1 and not self._doubled:
-            self._ports[0].start_usual_cycles(self, self._budget)
+        first, *others = self._ports
+        can_start = not others and not self._doubled
+        self._has_usual_cycles = can_start and first.start_usual_cycles(self, self._budget)
 
     def _read_each(self) -> JointReadings:
         """Read all joints, port by port or in parallel; see `read`."""
@@ -493,7 +497,7 @@ class ServoBus(BusCycle):
                 self._vector(velocity, "velocity", unit="rad/s", unlimited=True)
             raise
         self._check_ports()
-        if len(self._ports) == 1:
+        if self._has_usual_cycles:
             self._ports[0].start_usual_writes(self, self._speed or 0.0)
 
     def _finish_write(self, error: OSError) -> None:
@@ -516,7 +520,7 @@ class ServoBus(BusCycle):
             except BusError:
                 continue
         self._check_ports()
-        if len(self._ports) == 1 and not self._watched_ports:
+        if self._has_usual_cycles:
             self._poller.start_usual_polls(self)
         return status
 

@@ -54,28 +54,24 @@ pub(crate) struct ArmCycle {
     statuses: Vec<Option<Py<PyAny>>>,
 }
 
-/// Returns a reference to an attribute that `ArmIO` has to set.
-fn part<T>(py: Python<'_>, attribute: Option<&Py<T>>) -> PyResult<Py<T>> {
+/// Returns an attribute that `ArmIO` has to set.
+fn part<'py, T>(py: Python<'py>, attribute: Option<&Py<T>>) -> PyResult<Bound<'py, T>> {
     let missing = || PyAttributeError::new_err("limiter and positions are not set");
-    attribute.map(|found| found.clone_ref(py)).ok_or_else(missing)
+    attribute.map(|found| found.bind(py).clone()).ok_or_else(missing)
 }
 
 impl ArmCycle {
     /// Returns the present time [s].
     fn now(slf: &Bound<'_, Self>) -> PyResult<f64> {
         let py = slf.py();
-        let clock = slf.borrow().clock.clone_ref(py);
-        clock.call_method0(py, intern!(py, "now"))?.extract(py)
+        let clock = slf.borrow().clock.bind(py).clone();
+        clock.call_method0(intern!(py, "now"))?.extract()
     }
 
     /// Returns goals and torque limits of the joints off the chain.
-    fn off_chain(py: Python<'_>, limiter: &Py<CommandLimiter>, orders: &Bound<'_, PyDict>) -> PyResult<Vec<[f64; 2]>> {
-        let extra = limiter.try_borrow(py)?.extra.clone_ref(py);
-        extra
-            .bind(py)
-            .iter()
-            .map(|name| orders.as_any().get_item(name)?.extract::<(f64, f64)>().map(Into::into))
-            .collect()
+    fn off_chain(limiter: &Bound<'_, CommandLimiter>, orders: &Bound<'_, PyDict>) -> PyResult<Vec<[f64; 2]>> {
+        let extra = limiter.try_borrow()?.extra.bind(limiter.py()).clone();
+        extra.iter().map(|name| orders.as_any().get_item(name)?.extract::<(f64, f64)>().map(Into::into)).collect()
     }
 }
 
@@ -112,19 +108,19 @@ impl ArmCycle {
         let py = slf.py();
         let (drive, has_watchdog) = {
             let cycle = slf.borrow();
-            (cycle.drive.clone_ref(py), cycle.watchdog_time != 0.0)
+            (cycle.drive.bind(py).clone(), cycle.watchdog_time != 0.0)
         };
         if has_watchdog {
             slf.call_method0("_rearm_after_silence")?;
         }
-        let found = drive.call_method0(py, intern!(py, "read"));
+        let found = drive.call_method0(intern!(py, "read"));
         let now = Self::now(slf)?;
         slf.borrow_mut().last_access = now;
         let found = match found {
-            Err(error) if is_timeout(py, &error) => slf.call_method0("_readings_of_none")?.unbind(),
+            Err(error) if is_timeout(py, &error) => slf.call_method0("_readings_of_none")?,
             found => found?,
         };
-        let readings = found.bind(py).cast::<JointReadings>()?;
+        let readings = found.cast::<JointReadings>()?;
         slf.borrow_mut().readings = Some(readings.clone().unbind());
         if has_watchdog {
             slf.call_method1("_note_answers", (readings, now))?;
@@ -136,19 +132,12 @@ impl ArmCycle {
             (
                 part(py, cycle.limiter.as_ref())?,
                 part(py, cycle.positions.as_ref())?,
-                cycle.goals.clone_ref(py),
-                cycle.limits.clone_ref(py),
+                cycle.goals.bind(py).clone(),
+                cycle.limits.bind(py).clone(),
                 dt,
             )
         };
-        let (state, is_suspect) = limiter.try_borrow_mut(py)?.update(
-            positions.bind(py),
-            readings,
-            goals.bind(py),
-            limits.bind(py),
-            dt,
-            now,
-        )?;
+        let (state, is_suspect) = limiter.try_borrow_mut()?.update(&positions, readings, &goals, &limits, dt, now)?;
         let state = Bound::new(py, state)?.into_any();
         if is_suspect || !slf.borrow().reported.bind(py).is_empty() {
             return slf.call_method1("_with_faults", (state,));
@@ -181,15 +170,14 @@ impl ArmCycle {
             (
                 part(py, cycle.limiter.as_ref())?,
                 part(py, cycle.positions.as_ref())?,
-                cycle.min_limit.clone_ref(py),
+                cycle.min_limit.bind(py).clone(),
                 (now - cycle.ramp_start) / cycle.ramp_time,
             )
         };
-        let off_chain = Self::off_chain(py, &limiter, &orders)?;
+        let off_chain = Self::off_chain(&limiter, &orders)?;
         let limited = |(goal, limit, velocity): &(Bound<'py, PyAny>, Bound<'py, PyAny>, Option<Bound<'py, PyAny>>)| {
-            let (positions, min_limit) = (positions.bind(py), min_limit.bind(py));
-            let mut limiter = limiter.try_borrow_mut(py)?;
-            limiter.limit(goal, limit, velocity.as_ref(), positions, off_chain.clone(), ramp, min_limit, lead)
+            let mut limiter = limiter.try_borrow_mut()?;
+            limiter.limit(goal, limit, velocity.as_ref(), &positions, off_chain.clone(), ramp, &min_limit, lead)
         };
         let found = match limited(&command) {
             // Convert other array-likes with NumPy, or raise an error that names the joint.
@@ -224,27 +212,27 @@ impl ArmCycle {
             let mut cycle = slf.borrow_mut();
             (cycle.goals, cycle.limits) = (goals.clone().unbind(), limits.clone().unbind());
             cycle.is_sent = true;
-            cycle.drive.clone_ref(py)
+            cycle.drive.bind(py).clone()
         };
-        drive.call_method1(py, intern!(py, "write"), (goals, limits, speeds))?;
+        drive.call_method1(intern!(py, "write"), (goals, limits, speeds))?;
         let now = Self::now(slf)?;
         {
             let mut cycle = slf.borrow_mut();
             (cycle.last_write, cycle.last_access) = (now, now);
         }
-        let status = drive.call_method0(py, intern!(py, "poll_status"))?;
-        if status.is_none(py) {
+        let status = drive.call_method0(intern!(py, "poll_status"))?;
+        if status.is_none() {
             return slf.call_method0("_report_silent").map(|_| ());
         }
         if slf.borrow().statuses.iter().flatten().any(|last| last.is(&status)) {
             return Ok(());
         }
-        let joint: usize = slf.call_method1("_update_status", (status.bind(py),))?.extract()?;
+        let joint: usize = slf.call_method1("_update_status", (&status,))?.extract()?;
         let statuses = &mut slf.borrow_mut().statuses;
         if statuses.len() <= joint {
             statuses.resize_with(joint + 1, || None);
         }
-        statuses[joint] = Some(status);
+        statuses[joint] = Some(status.unbind());
         Ok(())
     }
 }

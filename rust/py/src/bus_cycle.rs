@@ -98,17 +98,17 @@ impl BusCycle {
             return Ok(None);
         }
         let (port, status, group) =
-            (reading.port.clone_ref(py), reading.status.clone_ref(py), reading.group.clone_ref(py));
+            (reading.port.bind(py).clone(), reading.status.bind(py).clone(), reading.group.bind(py).clone());
         let i = usize::from(has_status);
         let (block, timeout, longest, budget) =
             (reading.blocks[i], reading.timeouts[i], reading.longest, reading.budget);
         // The interpreter lock is released in the request.
         drop(cycle);
-        let times = PortState::start_cycle(port.bind(py), budget)?;
+        let times = PortState::start_cycle(&port, budget)?;
         let found = match group.get().read(py, block, timeout, times[1], longest, true) {
             Ok(found) if found.is_instance_of::<JointReadings>() => {
                 if has_status {
-                    status.borrow_mut(py).note_commands(times[1]);
+                    status.borrow_mut().note_commands(times[1]);
                 }
                 return Ok(Some(found));
             }
@@ -131,23 +131,23 @@ impl BusCycle {
         if writing.torque_changes != reading.status.borrow(py).torque_changes || !reading.misses.bind(py).is_empty() {
             return Ok(false);
         }
-        let port = reading.port.clone_ref(py);
+        let port = reading.port.bind(py).clone();
         let is_relaxed = {
-            let port = port.borrow(py);
+            let port = port.borrow();
             if port.is_gone {
                 return Ok(false);
             }
             port.is_relaxed
         };
         let timeout = writing.timeouts[usize::from(is_relaxed)];
-        let (group, blocks, max_speed) = (writing.group.clone_ref(py), writing.blocks.clone(), writing.max_speed);
+        let (group, blocks, max_speed) = (writing.group.bind(py).clone(), writing.blocks.clone(), writing.max_speed);
         // The interpreter lock is released in the request.
         drop(cycle);
         let requests = blocks.len() as u64;
         let result = group.get().write(py, blocks, timeout, goal, limit, velocity, max_speed);
         let error = result.err().map(|error| port_error(py, error)).transpose();
         let Ok(error) = error else { return Ok(false) };
-        port.borrow_mut(py).transactions += requests;
+        port.borrow_mut().transactions += requests;
         if let Some(error) = error {
             slf.call_method1("_finish_write", (error,))?;
         }

@@ -69,14 +69,15 @@ impl ExclusiveAccess {
             // SAFETY: `new` has checked that there is a byte, and `PyBuffer` keeps it alive.
             let not_forked = unsafe { AtomicU8::from_ptr(access.not_forked.buf_ptr().cast()) };
             let is_forked = not_forked.load(Ordering::Relaxed) == 0;
-            (access.acquire.clone_ref(py), is_forked || access.reason.is_some())
+            (access.acquire.bind(py).clone(), is_forked || access.reason.is_some())
         };
         if needs_check {
             slf.call_method0("check")?;
         }
-        acquire.call0(py)?;
+        acquire.call0()?;
         if slf.borrow().reason.is_some() {
-            slf.borrow().release.clone_ref(py).call0(py)?;
+            let release = slf.borrow().release.bind(py).clone();
+            release.call0()?;
             slf.call_method0("check")?;
         }
         Ok(())
@@ -86,8 +87,8 @@ impl ExclusiveAccess {
     #[pyo3(signature = (*_exception))]
     fn __exit__(slf: &Bound<'_, Self>, _exception: &Bound<'_, PyTuple>) -> PyResult<()> {
         let py = slf.py();
-        let clock = slf.borrow().clock.clone_ref(py);
-        let now = clock.call0(py).and_then(|now| now.extract::<f64>(py));
+        let clock = slf.borrow().clock.bind(py).clone();
+        let now = clock.call0().and_then(|now| now.extract::<f64>());
         let release = {
             let mut access = slf.borrow_mut();
             if let Ok(now) = now {
@@ -99,9 +100,9 @@ impl ExclusiveAccess {
                     last.store(now.to_bits(), Ordering::Relaxed);
                 }
             }
-            access.release.clone_ref(py)
+            access.release.bind(py).clone()
         };
-        release.call0(py)?;
+        release.call0()?;
         now.map(|_| ())
     }
 }

@@ -37,10 +37,10 @@ impl PortState {
         let py = slf.py();
         let (clock, sample_clock) = {
             let state = slf.borrow();
-            (state.clock.clone_ref(py), state.sample_clock.clone_ref(py))
+            (state.clock.bind(py).clone(), state.sample_clock.bind(py).clone())
         };
-        let started = clock.call0(py)?.extract(py)?;
-        let sampled = sample_clock.call0(py)?.extract(py)?;
+        let started = clock.call0()?.extract()?;
+        let sampled = sample_clock.call0()?.extract()?;
         let mut state = slf.borrow_mut();
         (state.deadline, state.is_relaxed) = (started + budget, false);
         state.transactions += 1;
