@@ -3677,7 +3677,8 @@ class ArmCycle:
         is_sent: True once goals and limits were sent.
         orders: Last goal [rad] and limit [N·m] of each joint off the chain, by name.
         reported: Faults that the servos report, by name of the joint.
-        ramp_start, ramp_time: Start and duration of the ramp of the torque limits [s].
+        ramp_start: Time at which the ramp of the torque limits began [s].
+        ramp_time: Duration of that ramp [s].
         min_limit: Lower bound of that ramp at its start (n,) [N·m].
         watchdog_time: Bus silence after which servos stop [s]; 0: never.
         last_update: Time of the last reading [s]; NaN before the first.

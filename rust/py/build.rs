@@ -11,7 +11,7 @@ const STUB: &str = "../../python/pliant/_core.pyi";
 const QUOTES: &str = "\"\"\"";
 
 /// Docstrings by name, e.g. `Model`, `Model.gravity`, `compliance`. Those of overloads are joined. An attribute without
-/// docstring has the text of the class argument with its name.
+/// docstring has the text of the class argument or attribute with its name.
 type Docs = BTreeMap<String, String>;
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -38,6 +38,8 @@ fn read(stub: &str) -> Result<Docs, String> {
         } else if let Some(of) = text.strip_prefix("def ") {
             name = if class.is_empty() { word(of) } else { format!("{class}.{}", word(of)) };
             docs.entry(name.clone()).or_default();
+        } else if indent == 4 && !class.is_empty() && text.split_once(": ").is_some_and(|(of, _)| of == word(of)) {
+            docs.entry(format!("{class}.{}", word(text))).or_default();
         } else if let Some(first) = text.strip_prefix(QUOTES) {
             let mut doc = first.to_owned();
             while !doc.ends_with(QUOTES) {
@@ -62,10 +64,11 @@ fn read(stub: &str) -> Result<Docs, String> {
     Ok(docs)
 }
 
-/// Returns the text about the argument `name` in the docstring of a class.
+/// Returns the text about the argument or attribute `name` in the docstring of a class.
 fn argument(doc: &str, name: &str) -> String {
     let entry = format!("    {name}: ");
-    let lines = doc.lines().skip_while(|line| *line != "Args:").skip_while(|line| !line.starts_with(&entry));
+    let is_heading = |line: &&str| *line == "Args:" || *line == "Attributes:";
+    let lines = doc.lines().skip_while(|line| !is_heading(line)).skip_while(|line| !line.starts_with(&entry));
     let entry_lines = lines.enumerate().take_while(|(i, line)| *i == 0 || line.starts_with("        "));
     let text = entry_lines.map(|(_, line)| line.trim()).collect::<Vec<_>>().join("\n");
     text.strip_prefix(&format!("{name}: ")).unwrap_or_default().to_owned()

@@ -29,6 +29,11 @@ def documented(node: ast.Module | ast.ClassDef, owner: str = "") -> dict[str, st
     for item in node.body:
         items += [item] if not isinstance(item, ast.If) else [] if windows else item.body
     for item in items:
+        if isinstance(item, ast.AnnAssign) and isinstance(item.target, ast.Name):
+            # An attribute that can be set; those of exceptions are not compiled.
+            members = vars(getattr(_core, owner.removesuffix("."), object))
+            if inspect.isgetsetdescriptor(members.get(item.target.id)):
+                docstrings[owner + item.target.id] = []
         if not isinstance(item, ast.ClassDef | ast.FunctionDef):
             continue
         if item.name.startswith("_"):
@@ -45,7 +50,9 @@ def expected(name: str) -> str:
     head, _, member = name.partition(".")
     if text := DOCUMENTED[name] or not member:
         return text
-    entry = re.search(rf"^    {member}: (.*\n(?:        .*\n)*)", DOCUMENTED[head], re.MULTILINE)
+    entry = re.search(
+        rf"^    {member}: (.*\n(?:        .*\n)*)", f"{DOCUMENTED[head]}\n", re.MULTILINE
+    )
     assert entry, "neither a docstring nor an argument of the class"
     return inspect.cleandoc(re.sub(r"^ +", "", entry[1], flags=re.MULTILINE))
 

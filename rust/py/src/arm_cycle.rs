@@ -14,38 +14,55 @@ use crate::position_filter::PositionFilter;
 #[pyclass(module = "pliant._core", subclass)]
 #[derive(Debug)]
 pub(crate) struct ArmCycle {
+    #[doc = stub!(ArmCycle.drive)]
     #[pyo3(get, set)]
     drive: Py<PyAny>,
+    #[doc = stub!(ArmCycle.clock)]
     #[pyo3(get, set)]
     clock: Py<PyAny>,
+    #[doc = stub!(ArmCycle.limiter)]
     #[pyo3(get, set)]
     limiter: Option<Py<CommandLimiter>>,
+    #[doc = stub!(ArmCycle.positions)]
     #[pyo3(get, set)]
     positions: Option<Py<PositionFilter>>,
+    #[doc = stub!(ArmCycle.readings)]
     #[pyo3(get, set)]
     readings: Option<Py<JointReadings>>,
+    #[doc = stub!(ArmCycle.goals)]
     #[pyo3(get, set)]
     goals: Py<PyAny>,
+    #[doc = stub!(ArmCycle.limits)]
     #[pyo3(get, set)]
     limits: Py<PyAny>,
+    #[doc = stub!(ArmCycle.is_sent)]
     #[pyo3(get, set)]
     is_sent: bool,
+    #[doc = stub!(ArmCycle.orders)]
     #[pyo3(get, set)]
     orders: Py<PyDict>,
+    #[doc = stub!(ArmCycle.reported)]
     #[pyo3(get)]
     reported: Py<PyDict>,
+    #[doc = stub!(ArmCycle.ramp_start)]
     #[pyo3(get, set)]
     ramp_start: f64,
+    #[doc = stub!(ArmCycle.ramp_time)]
     #[pyo3(get, set)]
     ramp_time: f64,
+    #[doc = stub!(ArmCycle.min_limit)]
     #[pyo3(get, set)]
     min_limit: Py<PyAny>,
+    #[doc = stub!(ArmCycle.watchdog_time)]
     #[pyo3(get, set)]
     watchdog_time: f64,
+    #[doc = stub!(ArmCycle.last_update)]
     #[pyo3(get, set)]
     last_update: f64,
+    #[doc = stub!(ArmCycle.last_access)]
     #[pyo3(get, set)]
     last_access: f64,
+    #[doc = stub!(ArmCycle.last_write)]
     #[pyo3(get, set)]
     last_write: f64,
     /// True if the last command was not one of a controller.

@@ -6,10 +6,13 @@ use pyo3::prelude::*;
 #[pyclass(module = "pliant._core")]
 #[derive(Debug)]
 pub(crate) struct BusStatus {
+    #[doc = stub!(BusStatus.torque_changes)]
     #[pyo3(get, set)]
     pub(crate) torque_changes: u64,
+    #[doc = stub!(BusStatus.changes)]
     #[pyo3(get, set)]
     pub(crate) changes: u64,
+    #[doc = stub!(BusStatus.next_step)]
     #[pyo3(get, set)]
     pub(crate) next_step: usize,
     /// For each servo: true if a reading contained its status, and `StatusPoller` has not taken it.

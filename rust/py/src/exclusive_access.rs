@@ -12,10 +12,13 @@ use pyo3::types::PyTuple;
 #[pyclass(module = "pliant._core", subclass)]
 #[derive(Debug)]
 pub(crate) struct ExclusiveAccess {
+    #[doc = stub!(ExclusiveAccess.lock)]
     #[pyo3(get)]
     lock: Py<PyAny>,
+    #[doc = stub!(ExclusiveAccess.reason)]
     #[pyo3(get, set)]
     reason: Option<Py<PyAny>>,
+    #[doc = stub!(ExclusiveAccess.last_call)]
     #[pyo3(get, set)]
     last_call: f64,
     acquire: Py<PyAny>,
@@ -46,6 +49,7 @@ impl ExclusiveAccess {
         })
     }
 
+    #[doc = stub!(ExclusiveAccess.heartbeat)]
     #[getter]
     fn heartbeat<'py>(&self, py: Python<'py>) -> Option<Bound<'py, PyAny>> {
         self.heartbeat.as_ref().map(|(memory, _)| memory.bind(py).clone())

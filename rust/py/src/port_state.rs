@@ -7,20 +7,28 @@ use pyo3::types::{PyDict, PyTuple};
 #[pyclass(module = "pliant._core", subclass)]
 #[derive(Debug)]
 pub(crate) struct PortState {
+    #[doc = stub!(PortState.is_dirty)]
     #[pyo3(get, set)]
     pub(crate) is_dirty: bool,
+    #[doc = stub!(PortState.is_gone)]
     #[pyo3(get, set)]
     pub(crate) is_gone: bool,
+    #[doc = stub!(PortState.is_relaxed)]
     #[pyo3(get, set)]
     pub(crate) is_relaxed: bool,
+    #[doc = stub!(PortState.deadline)]
     #[pyo3(get, set)]
     pub(crate) deadline: f64,
+    #[doc = stub!(PortState.transactions)]
     #[pyo3(get, set)]
     pub(crate) transactions: u64,
+    #[doc = stub!(PortState.missing)]
     #[pyo3(get)]
     missing: Py<PyDict>,
+    #[doc = stub!(PortState.clock)]
     #[pyo3(get, set)]
     clock: Py<PyAny>,
+    #[doc = stub!(PortState.sample_clock)]
     #[pyo3(get, set)]
     sample_clock: Py<PyAny>,
 }
