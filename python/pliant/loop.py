@@ -559,8 +559,10 @@ class Loop:
             self._capture(q)
         # Reset after `_capture`, which changes only the gravity offset: `reset` sets goals with it.
         controller.reset(q)
-        if hasattr(controller, "model"):
+        if isinstance(self._stepped, Controller):
             self._prime(controller, q)
+        elif hasattr(controller, "model"):
+            controller.step(q, controller.model.forward_kinematics(q), dt=PRIME)
 
     def _prime(self, controller: Any, q: Array) -> None:
         """Move the goals of a controller, just reset to q (n,) [rad], to where they hold the arm.
@@ -568,8 +570,7 @@ class Loop:
         They start at q and move at a limited speed. Long steps, whose commands are not sent, move
         them until the lead of no joint is at this limit. The null space has no part in these steps.
         """
-        tracking = getattr(getattr(controller, "settings", None), "tracking", None)
-        largest = float(getattr(tracking, "goal_slew", math.inf)) * PRIME * (1.0 - 1e-6)
+        largest = float(controller.settings.tracking.goal_slew) * PRIME * (1.0 - 1e-6)
         pose, still = controller.model.forward_kinematics(q), np.zeros_like(q)
         for number in range(1, MAX_PRIMES + 1):
             command = controller.step(q, pose, dt=PRIME, gradient=still)

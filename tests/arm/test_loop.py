@@ -482,3 +482,26 @@ def test_an_arm_that_moved_in_a_gap_returns_to_its_target_slowly(angle):
                 assert from_tool < 0.001
                 assert (from_target > 0.02) == (angle > 0.0)
                 break
+
+
+def test_a_controller_of_the_users_own_needs_only_the_arguments_of_tick_step():
+    settings = pliant.Settings.firm(task="xyz", tracking=pliant.Tracking(goal_slew=0.2))
+    with pliant.connect("so101", backend="sim", q=(0.0, -0.3, 0.3, 0.9, 0.0), table=False) as arm:
+        inner = pliant.Controller(arm.model, settings, arm.servos)
+
+        class Own:
+            model = arm.model
+
+            def reset(self, q):
+                inner.reset(q)
+
+            def step(self, q, target, dt):
+                return inner.step(q, target, dt=dt)
+
+        target = arm.model.forward_kinematics(arm.read().q)
+        loop = pliant.Loop(arm, Own(), rate=100.0, duration=0.5)
+        for tick in loop:
+            tick.step(target)
+            if tick.index == 10:
+                arm.clock.wait_until(arm.clock.now() + 0.3)
+    assert loop.restarts == 1
