@@ -16,6 +16,7 @@ import numpy as np
 from pliant._core import (
     Command,
     ConfigError,
+    Controller,
     Model,
     OutOfRangeError,
     ServoError,
@@ -37,11 +38,14 @@ if TYPE_CHECKING:
 
 
 LOG = logging.getLogger("pliant")
-#: Time without new positions after which the controller is reset to the present pose [s].
-RESTART = 0.25
-#: Time step of the first controller step after a reset [s]. Goals move at a limited speed; in this
-#: step they can reach the lead (goal minus position) that holds the arm against gravity.
-PRIME = 0.1
+#: Time without new positions after which the controller is reset to the present pose [s], unless
+#: each joint is within `HELD` [rad] of its position before, with the controller's goals within
+#: `SAME_GOAL` [rad] in the servos.
+RESTART, HELD, SAME_GOAL = 0.25, 0.02, 0.02
+#: Time step of the controller's steps after a reset, before its first command [s], and their
+#: largest number. Goals move at a limited speed; in these steps they reach the lead (goal minus
+#: position) that holds the arm against gravity.
+PRIME, MAX_PRIMES = 0.1, 1000
 #: Time by which the arm's supervisor thread acts later than the loop when the program stalls [s].
 GRACE = 0.1
 #: Time for which the end of a loop waits for its recorder while the arm has torque [s].
@@ -170,7 +174,7 @@ class Tick:
     Attributes:
         q: Joint positions (n,) [rad], new in this tick.
         dt: Time between the position samples of the last tick and of this tick [s], at least 0.1 of
-            a period. In the first tick, and after a reset of the controller, it is one period.
+            a period. In the first tick, and after a gap of more than 0.25 s, it is one period.
         state: State of the arm in this tick.
         time: Start of the tick [s]; 0 at the first tick of the loop, on every backend.
         index: Number of ticks that the loop yielded before this one.
@@ -259,15 +263,15 @@ class Loop:
     unchanged while positions are missing, while commands are missing or not finite, and while the
     program stalls. If positions or commands are missing for more than `arm.comm_timeout`, or a tick
     takes longer than `max_step_time`, the loop raises an error, and the arm is lowered at the end
-    of its `with` block. After a gap of more than 0.25 s between positions, the controller is reset
-    to the present pose, and torque limits rise again within 0.5 s. If the program makes no call for
-    the longer of `comm_timeout` and `max_step_time`, plus a period and 0.1 s, a thread lowers the
-    arm (not in simulated time).
+    of its `with` block. After a gap of more than 0.25 s between positions, torque limits rise again
+    within 0.5 s. If a joint has moved by more than 0.02 rad in the gap, the controller is reset to
+    the present pose. If the program makes no call for the longer of `comm_timeout` and
+    `max_step_time`, plus a period and 0.1 s, a thread lowers the arm (not in simulated time).
 
     Args:
         arm: An enabled arm.
         controller: Controller for `Tick.step`. The loop sets its delay from measurements, and
-            resets it at the start and after gaps. None: no controller.
+            resets it at the start and after gaps in which the arm moved. None: no controller.
         rate: Ticks per second [Hz], at least 1; None: the rate in the controller's settings, or
             `arm.rate` if it has none.
         duration: Duration of the loop [s]; None: unlimited.
@@ -291,7 +295,7 @@ class Loop:
         missed: Number of deadlines that were skipped because a tick took too long.
         missing: Number of periods without a tick, because a joint had no new position.
         rejected: Number of commands that were not sent.
-        restarts: Number of resets after a gap; the reset at the start is not counted.
+        restarts: Number of gaps of more than 0.25 s between positions.
         delay: Median over 50 commands of the time from sampling positions until the servos use the
             goals computed from them [s]; None before the first 50 commands.
 
@@ -454,6 +458,7 @@ class Loop:
         arm, clock, shortest = self._arm, self._arm.clock, 0.1 * self.period
         last: float | None = None
         first: float | None = None
+        tick: Tick | None = None
         with self._exclusive_controller(), self._supervised() as check:
             begin = deadline = clock.now()
             commanded, before, index = begin, begin, 0
@@ -467,7 +472,7 @@ class Loop:
                 if state.fresh:
                     time = state.time
                     if last is None or time - last > RESTART:
-                        self._restart(state.q, first=last is None)
+                        self._restart(state.q, first=last is None, before=tick)
                         last = None
                     if last is None:
                         dt = self.period
@@ -538,25 +543,54 @@ class Loop:
                 f"no position of {silent} for {ages.max():.2f} s: look at {where}"
             )
 
-    def _restart(self, q: Array, *, first: bool) -> None:
+    def _restart(self, q: Array, *, first: bool, before: Tick | None = None) -> None:
         """Reset the controller to q (n,) [rad], so that its next goal holds the arm at q.
 
-        Unless this is the `first` reset, count it and ramp the torque limits up again.
+        Unless this is the `first` reset, count it and ramp the torque limits up again. Do not reset
+        the controller if its goals have held the arm since the tick `before`.
         """
         controller = self.controller
         if not first:
             self.restarts += 1
             self._arm.ramp_limits()
-        if controller is None:
+        if controller is None or (before is not None and self._is_held(q, before)):
             return
         if first:
             self._capture(q)
         # Reset after `_capture`, which changes only the gravity offset: `reset` sets goals with it.
         controller.reset(q)
-        if hasattr(controller, "model"):
-            # Goals start at q and move at a limited speed. One long step, whose command is not
-            # sent, moves them to where they hold the arm against gravity.
+        if isinstance(self._stepped, Controller):
+            self._prime(controller, q)
+        elif hasattr(controller, "model"):
             controller.step(q, controller.model.forward_kinematics(q), dt=PRIME)
+
+    def _prime(self, controller: Any, q: Array) -> None:
+        """Move the goals of a controller, just reset to q (n,) [rad], to where they hold the arm.
+
+        They start at q and move at a limited speed. Long steps, whose commands are not sent, move
+        them until the lead of no joint is at this limit. The null space has no part in these steps.
+        """
+        largest = float(controller.settings.tracking.goal_slew) * PRIME * (1.0 - 1e-6)
+        pose, still = controller.model.forward_kinematics(q), np.zeros_like(q)
+        for number in range(1, MAX_PRIMES + 1):
+            command = controller.step(q, pose, dt=PRIME, gradient=still)
+            if float(np.abs(command.goal - q).max()) < number * largest:
+                return
+
+    def _is_held(self, q: Array, before: Tick) -> bool:
+        """Return True if the controller's goals have held the arm since the tick `before`.
+
+        The controller then continues: the reference of a reset starts at the tool and accelerates
+        toward the target. With a further gap, the goals of this acceleration stay in the servos and
+        move the arm.
+        """
+        command = before.command
+        return (
+            isinstance(self._stepped, Controller)
+            and isinstance(command, Command)
+            and float(np.abs(q - before.q).max()) <= HELD
+            and float(np.abs(self._arm._io.goal - command.goal).max()) <= SAME_GOAL
+        )
 
     def _capture(self, q: Array) -> None:
         """Set the controller's gravity offset, if the stiffness of the servos is not known.

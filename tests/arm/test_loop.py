@@ -419,3 +419,89 @@ def test_a_controller_that_starts_anew_in_every_tick_is_reported_once(starts):
     assert len(said) == starts.endswith("every tick"), said
     assert all("first step of a controller" in text for text in said)
     assert {warning.filename for warning in reported} <= {__file__}
+
+
+def motion(robot, q, settings, pauses, duration):
+    """Return the tool's displacements (m, 3) [m] in a loop that holds its pose, and the loop.
+
+    `pauses` are the index of a tick and the pause after it [s].
+    """
+    with pliant.connect(robot, backend="sim", q=q, table=False) as arm:
+        controller = pliant.Controller(arm.model, settings, arm.servos)
+        target = arm.model.forward_kinematics(arm.read().q)
+        plant, clock = arm.drive.plant, arm.clock
+        positions = [plant.tool[:3, 3].copy()]
+        clock.on_tick = lambda: positions.append(plant.tool[:3, 3].copy())
+        loop = pliant.Loop(arm, controller, rate=100.0, duration=duration)
+        for tick in loop:
+            tick.step(target)
+            if tick.index in pauses:
+                clock.wait_until(clock.now() + pauses[tick.index])
+        clock.on_tick = None
+    return np.array(positions) - positions[0], loop
+
+
+@pytest.mark.parametrize(
+    ("q", "every"), [((0.3, 0.2, 0.2, 0.5, 0.2), 5), ((-0.5, 0.5, -0.3, 0.4, 0.5), 10)]
+)
+def test_repeated_pauses_do_not_swing_an_arm_at_rest(q, every):
+    """A reset in each pause would swing the tool by more than 20 mm, at more than 0.15 m/s."""
+    pauses = dict.fromkeys(range(100, 1000, every), 0.3)
+    moved, loop = motion("so101", q, pliant.Settings.firm(task="xyz"), pauses, 4.0)
+    assert loop.restarts >= 7
+    assert np.linalg.norm(moved, axis=1).max() < 0.005
+
+
+@pytest.mark.parametrize(("robot", "goal_slew"), [("koch", 1.0), ("koch", 0.2), ("so101", 0.2)])
+def test_goals_carry_the_arm_from_the_first_tick_on(robot, goal_slew):
+    """Also where the goals may move slowly, and where the program pauses after the first tick."""
+    settings = pliant.Settings.firm(task="xyz", tracking=pliant.Tracking(goal_slew=goal_slew))
+    moved, _ = motion(robot, (-0.5, 0.6, -0.4, 0.3, 0.5), settings, {0: 0.45}, 1.0)
+    assert np.linalg.norm(moved, axis=1).max() < 0.006
+
+
+@pytest.mark.parametrize("angle", [0.2, 0.0])
+def test_an_arm_that_moved_in_a_gap_returns_to_its_target_slowly(angle):
+    """Its reference starts at the tool; otherwise it stays at the target."""
+    settings = pliant.Settings.firm(task="xyz")
+    with pliant.connect("so101", backend="sim", q=(0.0, -0.3, 0.3, 0.9, 0.0), table=False) as arm:
+        controller = pliant.Controller(arm.model, settings, arm.servos)
+        target = arm.model.forward_kinematics(arm.read().q)
+        for tick in pliant.Loop(arm, controller, rate=100.0, duration=1.0):
+            tick.step(target)
+            if tick.index == 50:
+                arm.clock.wait_until(arm.clock.now() + 0.3)
+                arm.drive.plant.mj_data.qpos[0] += angle
+                arm.clock.wait_until(arm.clock.now() + 0.05)
+            elif tick.index == 51:
+                reference = controller.diagnostics.reference
+                tool = arm.model.forward_kinematics(tick.q)
+                from_target, from_tool = (
+                    np.linalg.norm((reference - pose)[:3, 3]) for pose in (target, tool)
+                )
+                assert from_tool < 0.001
+                assert (from_target > 0.02) == (angle > 0.0)
+                break
+
+
+def test_a_controller_of_the_users_own_needs_only_the_arguments_of_tick_step():
+    settings = pliant.Settings.firm(task="xyz", tracking=pliant.Tracking(goal_slew=0.2))
+    with pliant.connect("so101", backend="sim", q=(0.0, -0.3, 0.3, 0.9, 0.0), table=False) as arm:
+        inner = pliant.Controller(arm.model, settings, arm.servos)
+
+        class Own:
+            model = arm.model
+
+            def reset(self, q):
+                inner.reset(q)
+
+            def step(self, q, target, dt):
+                return inner.step(q, target, dt=dt)
+
+        target = arm.model.forward_kinematics(arm.read().q)
+        loop = pliant.Loop(arm, Own(), rate=100.0, duration=0.5)
+        for tick in loop:
+            tick.step(target)
+            if tick.index == 10:
+                arm.clock.wait_until(arm.clock.now() + 0.3)
+    assert loop.restarts == 1
