@@ -111,16 +111,17 @@ class ServoBank:
         # Views of MuJoCo's memory: access through attributes of `data` takes longer than the sums.
         self._positions, self._speeds = data.qpos, data.qvel
         self._inputs, self._forces = data.ctrl, data.actuator_force
+        self._ranges = model.actuator_forcerange
         joints = [model.joint(name) for name in built.chain]
         self._qpos = np.array([joint.qposadr[0] for joint in joints])
         self._dof = np.array([joint.dofadr[0] for joint in joints])
         self._servo = np.array([model.actuator(name).id for name in built.chain])
         first = int(self._servo[0])
         is_block = bool((np.diff(self._servo) == 1).all())
-        # A slice of neighbours is read in a fraction of the time of an array of indices.
-        self._torques: slice | NDArray[np.int_] = self._servo
+        # A slice of neighbours is accessed in a fraction of the time of an array of indices.
+        self._block: slice | NDArray[np.int_] = self._servo
         if is_block:
-            self._torques = slice(first, first + self._servo.size)
+            self._block = slice(first, first + self._servo.size)
         self.held = {
             name: (rest, float(model.actuator(name).forcerange[1]))
             for name, rest in built.held.items()
@@ -187,10 +188,10 @@ class ServoBank:
         """
         usable = self._gains.torque
         limit = self._trip.limit(command.limit, self.torque, usable, period)
-        force = self._model.actuator_forcerange
-        force[self._servo, 0], force[self._servo, 1] = -limit, limit
+        force, servo = self._ranges, self._block
+        force[servo, 0], force[servo, 1] = -limit, limit
         self._goal = command.goal
-        self._inputs[self._servo] = command.goal
+        self._inputs[servo] = command.goal
         for name, (goal, max_limit) in command.extra.items():
             index = self._held_at[name][1]
             force[index] = (-max_limit, max_limit)
@@ -204,20 +205,20 @@ class ServoBank:
         The input is the goal, moved toward the position by at most the dead band.
         """
         error = np.clip(self._goal - self.q, -self._deadband, self._deadband)
-        self._inputs[self._servo] = self._goal - error
+        self._inputs[self._block] = self._goal - error
 
     def count(self) -> None:
         """Add the servo torques of a physics step to the sum for the mean of the control period."""
-        self._sum += self._forces[self._torques]
+        self._sum += self._forces[self._block]
         self._steps += 1
 
     def run(self, steps: int) -> None:
         """Run physics steps without external forces, and add the servo torques of each."""
-        model, data, forces, torques = self._model, self._data, self._forces, self._torques
+        model, data, forces, servo = self._model, self._data, self._forces, self._block
         total, step = self._sum, mujoco.mj_step
         for _ in range(steps):
             step(model, data)
-            total += forces[torques]
+            total += forces[servo]
         self._steps += steps
 
     def close(self) -> None:

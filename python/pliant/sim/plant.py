@@ -290,7 +290,7 @@ class Plant:
         self._bank.close()
         for record in self.hands:
             record.end(steps)
-        if not np.isfinite(self.mj_data.qpos).all():
+        if not _is_finite(self.mj_data.qpos):
             raise PliantError(
                 f"the simulation diverged at t = {self.time:.3f} s with dt {self.dt:g} s"
             )
@@ -463,10 +463,14 @@ class Plant:
             ) from None
         if array.shape != (self.n,):
             raise ShapeError(f"{name} has shape {array.shape}, expected ({self.n},)")
-        # For so few numbers, Python is quicker than NumPy.
-        if not all(map(math.isfinite, numbers := array.tolist())):
-            raise ConfigError(f"{name} is not finite: {numbers}")
+        if not _is_finite(array):
+            raise ConfigError(f"{name} is not finite: {array.tolist()}")
         return array
+
+
+def _is_finite(array: Array) -> bool:
+    """Return True if all numbers are finite; for so few, Python is quicker than NumPy."""
+    return all(map(math.isfinite, array.tolist()))
 
 
 def _split_scene(scene: Iterable[Hand | Fixture]) -> tuple[list[Hand], list[Fixture]]:
