@@ -204,7 +204,8 @@ class ServoBank:
 
         The input is the goal, moved toward the position by at most the dead band.
         """
-        error = np.clip(self._goal - self.q, -self._deadband, self._deadband)
+        error = np.maximum(self._goal - self.q, -self._deadband)
+        np.minimum(error, self._deadband, out=error)
         self._inputs[self._block] = self._goal - error
 
     def count(self) -> None:
