@@ -69,7 +69,7 @@ def test_another_arms_positions_end_a_procedure():
 def test_a_diverging_simulation_is_not_a_config_error(monkeypatch):
     plant = Plant(ARM)
     monkeypatch.setattr(plant, "_is_passive", lambda: False)
-    monkeypatch.setattr(plant, "_step", lambda: plant.mj_data.qpos.fill(np.nan))
+    monkeypatch.setattr(plant, "_run", lambda steps: plant.mj_data.qpos.fill(np.nan))
     with pytest.raises(pliant.PliantError, match=r"diverged at t = 0\.0\d+ s with dt") as error:
         plant.advance()
     assert error.type is pliant.PliantError

@@ -116,6 +116,8 @@ def save(figure: Figure, folder: Path, name: str) -> None:
     metadata = dict.fromkeys(("Date", "Creator", "Format", "Type"))
     with replacing(folder / f"{name}.png") as file:
         figure.savefig(file, dpi=PIXELS_PER_INCH, metadata={"Software": None})
+    # The layout of the PNG serves the SVG too: it takes as long as the drawing.
+    figure.set_layout_engine("none")
     with replacing(folder / f"{name}.svg") as file:
         figure.savefig(file, metadata=metadata)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import select
 import shutil
 import struct
 import tempfile
@@ -77,6 +78,10 @@ class Pty:
         except OSError:
             return None
         return int(struct.unpack(_TERMIOS2, answer)[-1])
+
+    def has_input(self) -> bool:
+        """Return True if bytes from the host wait; those on the way through the kernel count."""
+        return self.master is not None and bool(select.select([self.master], [], [], 0.0)[0])
 
     def read(self) -> bytes:
         """Return the bytes received from the host, without waiting; may be empty."""

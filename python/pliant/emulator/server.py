@@ -140,7 +140,7 @@ class Server:
         with self._marking:
             for port in list(self._ports.values()):
                 with self.lock:
-                    if self._thread is None or port.pty.master is None:
+                    if self._thread is None or not port.pty.has_input():
                         continue
                     port.marker = b"\x00sync" + os.urandom(11)
                     port.waiting.clear()

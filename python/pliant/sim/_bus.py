@@ -66,13 +66,14 @@ class Encoder:
         self._rng = rng
         self._has_counts, self._has_noise = self.count > 0.0, bool(self._noise.any())
         self._grid = np.where(self._has_counts, self.count, 1.0)
-        self._is_exact = not self._has_counts.any()
+        self._is_exact, self._is_rounded = not self._has_counts.any(), self._has_counts.all()
 
     def round(self, q: Array) -> Array:
         """Return q (n,) [rad] rounded to whole counts, as a servo stores positions and goals."""
         if self._is_exact:
             return q.copy()
-        return np.where(self._has_counts, np.round(q / self._grid) * self._grid, q)
+        rounded = np.rint(q / self._grid) * self._grid
+        return rounded if self._is_rounded else np.where(self._has_counts, rounded, q)
 
     def read(self, q: Array) -> Array:
         """Return the readings (n,) [rad] for the true positions q (n,) [rad]."""

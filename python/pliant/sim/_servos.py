@@ -108,19 +108,28 @@ class ServoBank:
     ) -> None:
         """Look up the joints and actuators of `built` in the compiled model."""
         self._model, self._data, self._gains = model, data, gains
+        # Views of MuJoCo's memory: access through attributes of `data` takes longer than the sums.
+        self._positions, self._speeds = data.qpos, data.qvel
+        self._inputs, self._forces = data.ctrl, data.actuator_force
+        self._ranges = model.actuator_forcerange
         joints = [model.joint(name) for name in built.chain]
         self._qpos = np.array([joint.qposadr[0] for joint in joints])
         self._dof = np.array([joint.dofadr[0] for joint in joints])
         self._servo = np.array([model.actuator(name).id for name in built.chain])
         first = int(self._servo[0])
         is_block = bool((np.diff(self._servo) == 1).all())
-        # A slice of neighbours is read in a fraction of the time of an array of indices.
-        self._torques: slice | NDArray[np.int_] = self._servo
+        # A slice of neighbours is accessed in a fraction of the time of an array of indices.
+        self._block: slice | NDArray[np.int_] = self._servo
         if is_block:
-            self._torques = slice(first, first + self._servo.size)
+            self._block = slice(first, first + self._servo.size)
         self.held = {
             name: (rest, float(model.actuator(name).forcerange[1]))
             for name, rest in built.held.items()
+        }
+        # MuJoCo's indices of position and actuator of these joints: a look-up by name is slow.
+        self._held_at = {
+            name: (int(model.joint(name).qposadr[0]), int(model.actuator(name).id))
+            for name in self.held
         }
         self._deadband, self._overload = deadband, overload
         self.needs_drive = bool(deadband.any())
@@ -128,9 +137,9 @@ class ServoBank:
     def reset(self, q: Array) -> None:
         """Set the chain to the positions q (n,) [rad] and other joints to their rest angles."""
         n = q.size
-        self._data.qpos[self._qpos] = q
+        self._positions[self._qpos] = q
         for name, (rest, _) in self.held.items():
-            self._data.qpos[self._model.joint(name).qposadr[0]] = rest
+            self._positions[self._held_at[name][0]] = rest
         self._place_followers()
         self._trip = OverloadTrip(n, self._overload)
         self.torque, self._sum, self._steps = np.zeros(n), np.zeros(n), 0
@@ -154,13 +163,13 @@ class ServoBank:
     @property
     def q(self) -> Array:
         """True joint positions (n,) [rad]."""
-        q: Array = self._data.qpos[self._qpos]
+        q: Array = self._positions[self._qpos]
         return q
 
     @property
     def dq(self) -> Array:
         """True joint velocities (n,) [rad/s]."""
-        dq: Array = self._data.qvel[self._dof]
+        dq: Array = self._speeds[self._dof]
         return dq
 
     @property
@@ -170,7 +179,7 @@ class ServoBank:
 
     def angles(self) -> dict[str, float]:
         """Return the positions of the off-chain joints by name [rad]."""
-        return {name: float(self._data.joint(name).qpos[0]) for name in self.held}
+        return {name: float(self._positions[at]) for name, (at, _) in self._held_at.items()}
 
     def apply(self, command: Command, period: float) -> None:
         """Set goals and torque limits of the servos from a command, at the start of a period.
@@ -179,30 +188,39 @@ class ServoBank:
         """
         usable = self._gains.torque
         limit = self._trip.limit(command.limit, self.torque, usable, period)
-        force = self._model.actuator_forcerange
-        force[self._servo, 0], force[self._servo, 1] = -limit, limit
+        force, servo = self._ranges, self._block
+        force[servo, 0], force[servo, 1] = -limit, limit
         self._goal = command.goal
-        self._data.ctrl[self._servo] = command.goal
+        self._inputs[servo] = command.goal
         for name, (goal, max_limit) in command.extra.items():
-            index = self._model.actuator(name).id
+            index = self._held_at[name][1]
             force[index] = (-max_limit, max_limit)
-            self._data.ctrl[index] = goal
+            self._inputs[index] = goal
         self._sum[:] = 0.0
         self._steps = 0
 
     def drive(self) -> None:
-        """Set the inputs of servos with a dead band; called before every physics step.
+        """Set the inputs of servos with a dead band; called before a step if `needs_drive`.
 
         The input is the goal, moved toward the position by at most the dead band.
         """
-        if self.needs_drive:
-            error = np.clip(self._goal - self.q, -self._deadband, self._deadband)
-            self._data.ctrl[self._servo] = self._goal - error
+        error = np.maximum(self._goal - self.q, -self._deadband)
+        np.minimum(error, self._deadband, out=error)
+        self._inputs[self._block] = self._goal - error
 
     def count(self) -> None:
         """Add the servo torques of a physics step to the sum for the mean of the control period."""
-        self._sum += self._data.actuator_force[self._torques]
+        self._sum += self._forces[self._block]
         self._steps += 1
+
+    def run(self, steps: int) -> None:
+        """Run physics steps without external forces, and add the servo torques of each."""
+        model, data, forces, servo = self._model, self._data, self._forces, self._block
+        total, step = self._sum, mujoco.mj_step
+        for _ in range(steps):
+            step(model, data)
+            total += forces[servo]
+        self._steps += steps
 
     def close(self) -> None:
         """End the control period: set `torque` to the mean over its physics steps."""

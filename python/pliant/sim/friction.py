@@ -25,7 +25,6 @@ import numpy as np
 
 from pliant._core import ConfigError, Servos
 from pliant.sim._checks import per_joint
-from pliant.sim._mujoco import mujoco
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -33,6 +32,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from pliant._typing import Array
+    from pliant.sim._mujoco import mujoco
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,12 +89,11 @@ class Friction:
         at_rest = self.stribeck + np.abs(
             np.multiply(self.external_stribeck, external) - np.multiply(self.motor_stribeck, motor)
         )
+        from_load, from_motor = np.abs(external), np.abs(motor)
         quadratic = np.where(
-            np.abs(external) < np.abs(motor),
+            from_load < from_motor,
             np.multiply(self.external_quadratic, external**2),
-            np.where(
-                np.abs(external) > np.abs(motor), np.multiply(self.motor_quadratic, motor**2), 0.0
-            ),
+            np.where(from_load > from_motor, np.multiply(self.motor_quadratic, motor**2), 0.0),
         )
         at_rest = at_rest + np.where(motor * external < 0.0, quadratic, 0.0)
         load = np.abs(np.multiply(self.external, external) - np.multiply(self.motor, motor))
@@ -202,6 +201,10 @@ class Gears:
         """
         self._model, self._data = model, data
         self._friction, self._dof, self._servo = friction.spread(dof.size), dof, servo
+        # Views of MuJoCo's memory: access through attributes of `data` takes longer than the sums.
+        self._speeds, self._forces, self._bias = data.qvel, data.actuator_force, data.qfrc_bias
+        self._torques = data.qfrc_applied, data.qfrc_actuator, data.qfrc_constraint
+        self._losses = model.dof_frictionloss
 
     def loads(self) -> tuple[Array, Array]:
         """Return motor torques and load torques on the joints (n,) [N·m], in the last step.
@@ -210,16 +213,18 @@ class Gears:
         """
         data, dof = self._data, self._dof
         friction = np.zeros(self._model.nv)
-        is_friction = data.efc_type == mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF
-        friction[data.efc_id[is_friction]] = data.efc_force[is_friction]
-        motor: Array = data.actuator_force[self._servo]
-        total = data.qfrc_applied + data.qfrc_actuator + data.qfrc_constraint - friction
-        external: Array = (total - data.qfrc_bias)[dof] - motor
+        # Constraints of dry friction come after the equalities. All are joints: there is no tendon.
+        rows = slice(data.ne, data.ne + data.nf)
+        friction[data.efc_id[rows]] = data.efc_force[rows]
+        motor: Array = self._forces[self._servo]
+        applied, actuator, constraint = self._torques
+        total = applied + actuator + constraint - friction
+        external: Array = (total - self._bias)[dof] - motor
         return motor, external
 
     def update(self) -> Array:
         """Set the joints' dry friction from the loads of the last step; return it (n,) [N·m]."""
         motor, external = self.loads()
-        loss = self._friction.largest(motor, external, self._data.qvel[self._dof])
-        self._model.dof_frictionloss[self._dof] = loss
+        loss = self._friction.largest(motor, external, self._speeds[self._dof])
+        self._losses[self._dof] = loss
         return loss

@@ -16,6 +16,13 @@ if TYPE_CHECKING:
 #: the link that the chain's last joint moves (`wrist`).
 TOOL, WRIST = "tool", "wrist"
 
+#: Vector (3,) for a force or torque that does not act; the plant recognizes this object.
+ZERO = np.zeros(3)
+ZERO.setflags(write=False)
+
+
+_SITE = int(mujoco.mjtObj.mjOBJ_SITE)
+
 
 class Frame:
     """Frame of the robot in base axes: present pose and velocity, and start pose."""
@@ -28,6 +35,7 @@ class Frame:
         self.position: Array = data.site_xpos[site]
         self._matrix: Array = data.site_xmat[site]
         self._twist = np.zeros(6)
+        self._angular, self._linear = self._twist[:3], self._twist[3:]
         self.remember()
 
     def remember(self) -> None:
@@ -64,10 +72,15 @@ class Frame:
 
         The linear velocity of the origin [m/s] comes first, then the angular velocity [rad/s].
         """
-        mujoco.mj_objectVelocity(
-            self._model, self._data, mujoco.mjtObj.mjOBJ_SITE, self.site, self._twist, 0
-        )
-        return np.concatenate((self._twist[3:], self._twist[:3]))
+        return np.concatenate(self.velocities())
+
+    def velocities(self) -> tuple[Array, Array]:
+        """Return linear velocity of the origin (3,) [m/s] and angular velocity (3,) [rad/s].
+
+        Both are in base axes, and views that the next call overwrites.
+        """
+        mujoco.mj_objectVelocity(self._model, self._data, _SITE, self.site, self._twist, 0)
+        return self._linear, self._angular
 
 
 class GroundTruth:

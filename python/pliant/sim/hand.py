@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from pliant._core import ConfigError
-from pliant.sim.ground_truth import TOOL, WRIST
+from pliant.sim.ground_truth import TOOL, WRIST, ZERO
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
 
 _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 _TURNS = {"roll": _AXES["x"], "pitch": _AXES["y"], "yaw": _AXES["z"]}
-_ZERO = np.zeros(3)
 
 
 class Hand(Protocol):
@@ -64,10 +64,12 @@ class AppliedForce:
 
     def add(self, force: Array, torque: Array) -> None:
         """Add force (3,) [N] and torque (3,) [N·m] of one physics step, and update the peaks."""
-        self.force += force
-        self.torque += torque
-        self.peak_force = max(self.peak_force, math.sqrt(force @ force))
-        self.peak_torque = max(self.peak_torque, math.sqrt(torque @ torque))
+        if force is not ZERO:
+            self.force += force
+            self.peak_force = max(self.peak_force, math.sqrt(_dot(force, force)))
+        if torque is not ZERO:
+            self.torque += torque
+            self.peak_torque = max(self.peak_torque, math.sqrt(_dot(torque, torque)))
 
     def end(self, steps: int) -> None:
         """End a control period of `steps` physics steps: divide the sums, which gives the means."""
@@ -145,12 +147,16 @@ class Drag:
         """Return the hand's force [N], a zero torque, and the frame's origin at time t [s]."""
         frame = ground_truth.frame(self.at)
         if not self.course.active(t):
-            return _ZERO, _ZERO, frame.position
-        axis = _direction(self.axis, _AXES)
+            return ZERO, ZERO, frame.position
+        axis = self._unit
         goal = self.distance * self.course.share(t) + self.offset
-        spring = self.stiffness * (goal - float(axis @ frame.shift()))
-        force = spring - self.damping * float(axis @ frame.twist()[:3])
-        return min(max(force, -self.limit), self.limit) * axis, _ZERO, frame.position
+        spring = self.stiffness * (goal - _dot(axis, frame.shift()))
+        force = spring - self.damping * _dot(axis, frame.velocities()[0])
+        return min(max(force, -self.limit), self.limit) * axis, ZERO, frame.position
+
+    @cached_property
+    def _unit(self) -> Array:
+        return _direction(self.axis, _AXES)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -188,11 +194,15 @@ class Twist:
         """Return a zero force, the hand's torque [N·m], and the frame's origin at time t [s]."""
         frame = ground_truth.frame(self.at)
         if not self.course.active(t):
-            return _ZERO, _ZERO, frame.position
-        axis = _direction(self.axis, _TURNS)
-        spring = self.stiffness * (self.angle * self.course.share(t) - float(axis @ frame.turn()))
-        torque = spring - self.damping * float(axis @ frame.twist()[3:])
-        return _ZERO, min(max(torque, -self.limit), self.limit) * axis, frame.position
+            return ZERO, ZERO, frame.position
+        axis = self._unit
+        spring = self.stiffness * (self.angle * self.course.share(t) - _dot(axis, frame.turn()))
+        torque = spring - self.damping * _dot(axis, frame.velocities()[1])
+        return ZERO, min(max(torque, -self.limit), self.limit) * axis, frame.position
+
+    @cached_property
+    def _unit(self) -> Array:
+        return _direction(self.axis, _TURNS)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -220,13 +230,13 @@ class Push:
         """Return force [N] and torque [N·m] of the push, and the frame's origin, at time t [s]."""
         frame = ground_truth.frame(self.at)
         if not self.course.active(t):
-            return _ZERO, _ZERO, frame.position
-        share = self.course.share(t)
-        return (
-            share * np.asarray(self.force_vector),
-            share * np.asarray(self.torque_vector),
-            frame.position,
-        )
+            return ZERO, ZERO, frame.position
+        share, (force, torque) = self.course.share(t), self._wrench
+        return share * force, share * torque if torque.any() else ZERO, frame.position
+
+    @cached_property
+    def _wrench(self) -> tuple[Array, Array]:
+        return np.asarray(self.force_vector), np.asarray(self.torque_vector)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -265,14 +275,17 @@ class SpringConstraint:
         """Return force [N] and torque [N·m] of the springs, and the frame's origin."""
         frame = ground_truth.frame(self.at)
         if not self.course.active(t):
-            return _ZERO, _ZERO, frame.position
-        names = self.axes.split()
-        linear = np.array([name in names for name in _AXES], dtype=np.float64)
-        angular = np.array([name in names for name in _TURNS], dtype=np.float64)
-        twist = frame.twist()
-        force = -self.stiffness * frame.shift() - self.damping[0] * twist[:3]
-        torque = -self.rotational * frame.turn() - self.damping[1] * twist[3:]
+            return ZERO, ZERO, frame.position
+        (linear, angular), (v, w) = self._is_held, frame.velocities()
+        force = -self.stiffness * frame.shift() - self.damping[0] * v
+        torque = -self.rotational * frame.turn() - self.damping[1] * w
         return linear * force, angular * torque, frame.position
+
+    @cached_property
+    def _is_held(self) -> tuple[Array, Array]:
+        names = self.axes.split()
+        linear, angular = ([name in names for name in group] for group in (_AXES, _TURNS))
+        return np.array(linear, dtype=np.float64), np.array(angular, dtype=np.float64)
 
 
 def tap(force: Sequence[float], *, start: float = 1.0) -> Push:
@@ -292,6 +305,13 @@ def _direction(axis: str | Sequence[float], names: dict[str, tuple[float, float,
     if vector.shape != (3,) or not np.linalg.norm(vector) > 0.0:
         raise ConfigError(f"a direction has three entries, not all zero; got {axis!r}")
     return vector / np.linalg.norm(vector)
+
+
+def _dot(left: Array, right: Array) -> float:
+    """Return the dot product of two vectors (3,); for so few numbers, NumPy takes longer."""
+    (a, b, c), (x, y, z) = left.tolist(), right.tolist()
+    product: float = a * x + b * y + c * z
+    return product
 
 
 def _not_negative(**values: float) -> None:

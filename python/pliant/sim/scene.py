@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pliant._core import ConfigError
-from pliant.sim.ground_truth import TOOL, WRIST
+from pliant.sim.ground_truth import TOOL, WRIST, ZERO
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from pliant._typing import Array
     from pliant.sim.ground_truth import GroundTruth
     from pliant.sim.hand import Hand, Wrench
-
-_ZERO = np.zeros(3)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,14 +47,18 @@ class Wall:
     def force(self, ground_truth: GroundTruth, t: float) -> Wrench:
         """Return the force of the wall [N], a zero torque, and the frame's origin."""
         frame = ground_truth.frame(self.at)
-        into = np.asarray(self.into, dtype=np.float64)
-        depth = float(into @ frame.shift()) - self.distance
+        into = self._into
+        depth = float(into.dot(frame.shift())) - self.distance
         if depth <= 0.0:
-            return _ZERO, _ZERO, frame.position
+            return ZERO, ZERO, frame.position
         force = self.stiffness * depth
         if self.damping:
-            force = max(force + self.damping * float(into @ frame.twist()[:3]), 0.0)
-        return -force * into, _ZERO, frame.position
+            force = max(force + self.damping * float(into.dot(frame.velocities()[0])), 0.0)
+        return -force * into, ZERO, frame.position
+
+    @cached_property
+    def _into(self) -> Array:
+        return np.asarray(self.into, dtype=np.float64)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,9 +89,9 @@ class Table:
         frame = ground_truth.frame(self.at)
         depth = self.height - float(frame.position[2])
         if depth <= 0.0:
-            return _ZERO, _ZERO, frame.position
-        force = self.stiffness * depth - self.damping * float(frame.twist()[2])
-        return np.array((0.0, 0.0, max(force, 0.0))), _ZERO, frame.position
+            return ZERO, ZERO, frame.position
+        force = self.stiffness * depth - self.damping * float(frame.velocities()[0][2])
+        return np.array((0.0, 0.0, max(force, 0.0))), ZERO, frame.position
 
 
 def table(height: float) -> list[Hand]:
