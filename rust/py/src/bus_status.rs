@@ -21,6 +21,7 @@ pub(crate) struct BusStatus {
     matched: Vec<f64>,
 }
 
+#[cfg(unix)]
 impl BusStatus {
     /// Notes that at `time` [s] all status registers of all servos were as written.
     pub(crate) fn note_commands(&mut self, time: f64) {

@@ -33,6 +33,7 @@ pub(crate) struct PortState {
     sample_clock: Py<PyAny>,
 }
 
+#[cfg(unix)]
 impl PortState {
     /// Returns true if the last request has not failed, and no reply is missing.
     pub(crate) fn is_clear(&self, py: Python<'_>) -> bool {
