@@ -34,8 +34,9 @@ def test_every_name_is_there_and_documented():
     }
     # Names that only `pliant.arm`, `pliant.gym`, `pliant.identify` and `pliant.servo` use.
     internal = {
-        *("ArmPoints", "CommandLimiter", "HandGuidingLaw", "PositionFilter"),
-        *("SUPPORT", "ServoCodec", "ThermalModel", "torque_margin", "update_contacts"),
+        *("ArmCycle", "ArmPoints", "BusCycle", "BusStatus", "CommandLimiter", "ExclusiveAccess"),
+        *("HandGuidingLaw", "PortState", "PositionFilter", "SUPPORT", "ServoCodec"),
+        *("ThermalModel", "torque_margin", "update_contacts"),
         *(() if sys.platform == "win32" else ("SerialPort", "ServoGroup")),
     }
     assert set(pliant._core.__all__) == (public & set(pliant._core.__all__)) | internal
