@@ -3496,7 +3496,7 @@ class PortState:
 
 @final
 class BusStatus:
-    """What is known of the status registers of the servos on a bus.
+    """Record of the status readings of all servos on a bus, and of changes of their status.
 
     Results that depend on them stay valid while the numbers of changes are the same.
 
@@ -3590,7 +3590,7 @@ class BusCycle:
 
             Args:
                 port: State of the port.
-                status: What is known of the servos' status.
+                status: Record of the status readings.
                 group: All servos of the bus.
                 misses: Numbers of missed readings of silent servos.
                 numbers: 9 numbers. Address and size of the registers of a reading without status,

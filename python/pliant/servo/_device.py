@@ -64,7 +64,7 @@ class Device:
         joint: Index of the joint in all vectors of the bus.
         id: Id of the servo on the bus.
         sign: +1 if counts rise with the joint angle, else -1.
-        bus_status: What is known of the status registers, shared by all servos of the bus; None:
+        bus_status: Record of the status readings, shared by all servos of the bus; None:
             the servo is alone.
 
     Attributes:

@@ -1,4 +1,4 @@
-//! Python class `BusStatus`: what is known of the status registers of the servos on a bus.
+//! Python class `BusStatus`: record of the status readings of all servos on a bus.
 
 use pyo3::prelude::*;
 
