@@ -208,7 +208,7 @@ class Tick:
             ConfigError: The loop has no controller with `step`. The controller's `step` and `write`
                 may raise further errors.
         """
-        step = getattr(self._loop.controller, "step", None)
+        step = getattr(self._loop._controller, "step", None)
         if step is None:
             raise ConfigError(
                 "tick.step(...) needs a controller: pliant.Loop(arm, controller), or send commands "
@@ -287,8 +287,6 @@ class Loop:
             between ticks. None: no real-time scheduling.
 
     Attributes:
-        controller: Controller to step; with a recorder, a wrapper that records its calls. Pass this
-            object to helpers that step the controller (`pliant.teach.Replay`).
         period: Time between two ticks [s].
         duration: Duration of the loop [s]; None: unlimited.
         lateness: Histogram of the lateness of ticks.
@@ -333,15 +331,7 @@ class Loop:
             raise TypeError(
                 f"arm must be an Arm, as pliant.connect(...) makes one, got {format_value(arm)}"
             )
-        if controller is not None and not callable(getattr(controller, "reset", None)):
-            raise TypeError(
-                f"controller must be a Controller, or have reset(q), or be None, got "
-                f"{format_value(controller)}"
-            )
-        # `HandGuiding` has a model too, but no public one.
-        model = getattr(controller, "model", getattr(controller, "_model", None))
-        if isinstance(model, Model):
-            check_same_robot(model, arm.model)
+        _check_controller(controller, arm)
         for name in ("start", "add", "close") if recorder is not None else ():
             if not callable(getattr(recorder, name, None)):
                 raise TypeError(
@@ -371,39 +361,89 @@ class Loop:
         self.lateness = LatenessHistogram()
         self.missed = self.missing = self.rejected = self.restarts = 0
         self.delay: float | None = None
-        self._reported_delay: float | None = None
         self._delays: list[float] = []
         self._recorder = recorder
-        self.controller: Any = controller
-        # `controller` may become a wrapper of it, with the recorder.
+        # The present tick; None: the loop has not begun, or has ended.
+        self._tick: Tick | None = None
+        # Examined commands in a row that a first step made; None: the loop has warned.
+        self._first_steps: int | None = 0
+        self._set_controller(controller)
+        if recorder is not None:
+            self._controller = recorder.start(arm, controller, rate)
+
+    @property
+    def controller(self) -> Any:
+        """Controller that `Tick.step` steps; with a recorder, a wrapper that records its calls.
+
+        Pass this object to helpers that step the controller (`pliant.teach.Replay`). Assign another
+        controller to let it take over: in a tick, the loop resets it to the present positions, with
+        goals that hold the arm there. A controller that your program steps itself starts with goals
+        at the positions, so that the arm sinks before it is carried.
+
+        Raises:
+            TypeError: The object assigned has no `reset`.
+            ConfigError: Its model is of another robot; it steps another arm in a loop that has not
+                ended; or the loop has a recorder, which records one controller.
+        """
+        return self._controller
+
+    @controller.setter
+    def controller(self, controller: Any) -> None:
+        if controller is self._controller:
+            return
+        if self._recorder is not None:
+            raise ConfigError(
+                "a recorder records one controller: end this loop, and give the next controller a "
+                "loop and a recorder of its own"
+            )
+        _check_controller(controller, self._arm)
+        if self._tick is None:
+            self._set_controller(controller)
+            return
+        self._claim(controller)
+        self._release()
+        self._set_controller(controller)
+        if self.delay is not None:
+            self._report_delay(self.delay)
+        self._restart(self._tick.q, first=True)
+
+    def _set_controller(self, controller: Any) -> None:
+        """Make `controller` the one that the loop steps."""
+        self._controller = controller
+        # `_controller` may become a wrapper of it, with the recorder.
         self._stepped = controller
         # Largest speed of the controller's goals [rad/s]; without a controller, the default.
         tracking = getattr(getattr(controller, "settings", None), "tracking", None)
         self._goal_slew = float(getattr(tracking, "goal_slew", 1.0))
-        # Examined commands in a row that a first step made; None: the loop has warned.
-        self._first_steps: int | None = 0
-        if recorder is not None:
-            self.controller = recorder.start(arm, controller, rate)
+        self._reported_delay: float | None = None
 
-    @contextmanager
-    def _exclusive_controller(self) -> Iterator[None]:
-        """Return a context in which no loop over another arm may step the controller.
+    def _claim(self, controller: Any) -> None:
+        """Let no loop over another arm step `controller` until `_release`.
 
         It has the state of one arm: with another arm's positions, it would command large jumps.
         """
-        key = id(self._stepped)
-        other = None if self._stepped is None else _LOOPS.get(key)
+        other = None if controller is None else _LOOPS.get(id(controller))
         if other is not None and other._arm is not self._arm and other._arm.enabled:
             raise ConfigError(
                 "this controller steps another arm in a loop that has not ended, and has the state "
                 "of that arm: make a Controller for each arm"
             )
-        _LOOPS[key] = self
+        _LOOPS[id(controller)] = self
+
+    def _release(self) -> None:
+        """End the claim on the loop's controller."""
+        if _LOOPS.get(id(self._stepped)) is self:
+            del _LOOPS[id(self._stepped)]
+
+    @contextmanager
+    def _exclusive_controller(self) -> Iterator[None]:
+        """Return a context in which no loop over another arm may step the loop's controller."""
+        self._claim(self._stepped)
         try:
             yield
         finally:
-            if _LOOPS.get(key) is self:
-                del _LOOPS[key]
+            self._tick = None
+            self._release()
 
     @contextmanager
     def _supervised(self) -> Iterator[Callable[[], None]]:
@@ -482,7 +522,7 @@ class Loop:
                         dt = time - last
                     last = time
                     first = now if first is None else first
-                    tick = Tick(self, state, dt, (now, first), index)
+                    tick = self._tick = Tick(self, state, dt, (now, first), index)
                     try:
                         yield tick
                     finally:
@@ -549,7 +589,7 @@ class Loop:
         Unless this is the `first` reset, count it and ramp the torque limits up again. Do not reset
         the controller if its goals have held the arm since the tick `before`.
         """
-        controller = self.controller
+        controller = self._controller
         if not first:
             self.restarts += 1
             self._arm.ramp_limits()
@@ -599,7 +639,7 @@ class Loop:
         on, at positions q (n,) [rad]. For joints without a measured lead, the lead is the gravity
         torque divided by the assumed stiffness.
         """
-        arm, capture = self._arm, getattr(self.controller, "capture_gravity", None)
+        arm, capture = self._arm, getattr(self._controller, "capture_gravity", None)
         leads = getattr(arm, "leads", None)
         if capture is None or leads is None or arm.servos.stiffness_known:
             return
@@ -682,16 +722,34 @@ class Loop:
         self._delays.clear()
         reported = self._reported_delay
         if reported is None or abs(self.delay - reported) > max(CHANGE, CHANGE_SHARE * reported):
-            self._reported_delay = self.delay
-            tell = getattr(self.controller, "set_delay", None)
-            if tell is not None:
-                if not 0.0 <= self.delay <= MAX_DELAY:
-                    raise ServoError(
-                        f"positions are {self.delay:.3g} s old when the goals made from them are "
-                        f"used, where 0 to {MAX_DELAY:g} s are possible: reading the arm takes too "
-                        "long, or its drive returns old readings or readings with a wrong time"
-                    )
-                tell(self.delay)
+            self._report_delay(self.delay)
+
+    def _report_delay(self, delay: float) -> None:
+        """Pass the delay [s] to the controller; `ServoError` if it cannot account for it."""
+        self._reported_delay = delay
+        tell = getattr(self._controller, "set_delay", None)
+        if tell is None:
+            return
+        if not 0.0 <= delay <= MAX_DELAY:
+            raise ServoError(
+                f"positions are {delay:.3g} s old when the goals made from them are used, where 0 "
+                f"to {MAX_DELAY:g} s are possible: reading the arm takes too long, or its drive "
+                "returns old readings or readings with a wrong time"
+            )
+        tell(delay)
+
+
+def _check_controller(controller: Any, arm: Arm) -> None:
+    """Raise `TypeError` or `ConfigError` if `controller` cannot step `arm`."""
+    if controller is not None and not callable(getattr(controller, "reset", None)):
+        raise TypeError(
+            f"controller must be a Controller, or have reset(q), or be None, got "
+            f"{format_value(controller)}"
+        )
+    # `HandGuiding` has a model too, but no public one.
+    model = getattr(controller, "model", getattr(controller, "_model", None))
+    if isinstance(model, Model):
+        check_same_robot(model, arm.model)
 
 
 #: Loops that iterate, by the id of their controller.

@@ -505,3 +505,68 @@ def test_a_controller_of_the_users_own_needs_only_the_arguments_of_tick_step():
             if tick.index == 10:
                 arm.clock.wait_until(arm.clock.now() + 0.3)
     assert loop.restarts == 1
+
+
+@pytest.mark.parametrize("robot", ["so101", "koch"])
+@pytest.mark.parametrize("guided", [False, True], ids=["controller", "hand guiding"])
+def test_an_assigned_controller_holds_the_arm_as_it_takes_over(robot, guided):
+    """A controller that the program steps itself would let it sink by 14 mm (so101) or more."""
+    with pliant.connect(robot, backend="sim", q=(-0.5, 0.5, -0.3, 0.4, 0.5), table=False) as arm:
+        settings = pliant.Settings.firm(task="xyz")
+        first, second = (pliant.Controller(arm.model, settings, arm.servos) for _ in range(2))
+        first = pliant.HandGuiding(arm.model, arm.servos) if guided else first
+        targets = () if guided else (arm.model.forward_kinematics(arm.read().q),)
+        plant, clock, positions = arm.drive.plant, arm.clock, []
+        loop = pliant.Loop(arm, first, rate=100.0, duration=2.0)
+        for tick in loop:
+            if tick.index == 100:
+                clock.on_tick = lambda: positions.append(plant.tool[:3, 3].copy())
+                loop.controller = second
+                targets = (arm.model.forward_kinematics(tick.q),)
+            tick.step(*targets)
+        clock.on_tick = None
+    moved = np.array(positions) - positions[0]
+    assert moved[:, 2].min() > -0.003
+    assert np.linalg.norm(moved, axis=1).max() < 0.006
+
+
+def test_an_assigned_controller_belongs_to_its_loop(tmp_path):
+    class Recorder:
+        def start(self, _arm, controller, _rate):
+            return controller
+
+        def add(self, _tick, _command):
+            pass
+
+        def close(self):
+            pass
+
+    with (
+        pliant.connect("so101", backend="sim") as arm,
+        pliant.connect("so101", backend="sim") as other,
+    ):
+        first, second, third = (
+            pliant.Controller(arm.model, pliant.Settings.soft("y", task="xyz"), arm.servos)
+            for _ in range(3)
+        )
+        target = arm.model.forward_kinematics(arm.read().q)
+        loop, elsewhere = pliant.Loop(arm, first, duration=0.1), pliant.Loop(other, second)
+        recorded = pliant.Loop(arm, third, recorder=Recorder())
+        with pytest.raises(pliant.ConfigError, match="a recorder records one controller"):
+            recorded.controller = first
+        with pytest.raises(TypeError, match="controller must be a Controller, or have reset"):
+            loop.controller = target
+        ticks = iter(elsewhere)
+        next(ticks).step(target)
+        for tick in loop:
+            if tick.index == 1:
+                with pytest.raises(pliant.ConfigError, match="make a Controller for each arm"):
+                    loop.controller = second
+                assert loop.controller is first
+                loop.controller = third
+                with pytest.raises(pliant.ConfigError, match="make a Controller for each arm"):
+                    elsewhere.controller = third
+                elsewhere.controller = first
+            tick.step(target)
+        assert third.commands_made
+        ticks.close()
