@@ -596,7 +596,7 @@ class Loop:
         if controller is None or (before is not None and self._is_held(q, before)):
             return
         if first:
-            self._capture(q)
+            self._capture()
         # Reset after `_capture`, which changes only the gravity offset: `reset` sets goals with it.
         controller.reset(q)
         if isinstance(self._stepped, Controller):
@@ -632,17 +632,19 @@ class Loop:
             and float(np.abs(self._arm._io.goal - command.goal).max()) <= SAME_GOAL
         )
 
-    def _capture(self, q: Array) -> None:
+    def _capture(self) -> None:
         """Set the controller's gravity offset, if the stiffness of the servos is not known.
 
-        The offset is the lead (goal minus position) that held each joint when torque was switched
-        on, at positions q (n,) [rad]. For joints without a measured lead, the lead is the gravity
-        torque divided by the assumed stiffness.
+        The offset follows from the lead (goal minus position) that held each joint when torque was
+        switched on, and from the weight at the positions of that time: the arm may have moved
+        since. For joints without a measured lead, the lead is the gravity torque divided by the
+        assumed stiffness.
         """
         arm, capture = self._arm, getattr(self._controller, "capture_gravity", None)
         leads = getattr(arm, "leads", None)
         if capture is None or leads is None or arm.servos.stiffness_known:
             return
+        q = arm._leads_q
         modelled = np.asarray(arm.model.gravity(q)) / np.asarray(arm.servos.kp)
         capture(q, q + np.where(np.isfinite(leads), leads, modelled))
 

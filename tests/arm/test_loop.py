@@ -570,3 +570,26 @@ def test_an_assigned_controller_belongs_to_its_loop(tmp_path):
             tick.step(target)
         assert third.commands_made
         ticks.close()
+
+
+@pytest.mark.parametrize("robot", ["so101", "koch"])
+@pytest.mark.parametrize("is_new", [False, True], ids=["same controller", "new controller"])
+def test_a_second_loop_holds_an_arm_that_has_moved_since_torque_on(robot, is_new):
+    """The weight of torque on, taken for that of the new pose, let so101 sink by 34 mm."""
+    q, away = (0.0, -1.2, 1.2, 0.4, 0.0), (0.0, 0.9, -0.3, 0.4, 0.0)
+    settings = pliant.Settings.firm(task="xyz")
+    with pliant.connect(robot, backend="sim", q=q, table=False) as arm:
+        controller = pliant.Controller(arm.model, settings, arm.servos)
+        before, target = arm.read().q, arm.model.forward_kinematics(np.array(away))
+        for tick in pliant.Loop(arm, controller, rate=100.0, duration=6.0):
+            tick.step(target)
+        q, gravity = arm.read().q, arm.model.gravity
+        assert abs(gravity(q)[1]) > 0.2 > abs(gravity(before)[1]), "another weight on the shoulder"
+        if is_new:
+            controller = pliant.Controller(arm.model, settings, arm.servos)
+        target, plant, positions = arm.model.forward_kinematics(q), arm.drive.plant, []
+        arm.clock.on_tick = lambda: positions.append(plant.tool[:3, 3].copy())
+        for tick in pliant.Loop(arm, controller, rate=100.0, duration=2.0):
+            tick.step(target)
+        arm.clock.on_tick = None
+    assert np.linalg.norm(np.array(positions) - positions[0], axis=1).max() < 0.002

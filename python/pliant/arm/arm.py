@@ -158,6 +158,8 @@ class Arm:
             check_rest(self.model, self._points, self.rest_q, self.table)
         self._opened = False
         self.leads: Array = np.full(model.n, np.nan)
+        # Positions at which the leads were measured (n,) [rad].
+        self._leads_q: Array = np.zeros(model.n)
 
     def _build(self) -> None:
         """Create the parts that depend on servo parameters; `open` calls this again."""
@@ -255,6 +257,7 @@ class Arm:
                 self._release()
             raise
         self.leads = transfer_weight(io, self._points, start_q, carried, self.rate)
+        self._leads_q = io.q.copy()
         is_supported = may_lie_on(self.table, self._points, io.q)
         # A sagging supply changes the leads as wrong servo parameters do: report only the sag.
         mismatch = supply_sag(io) or stiffness_mismatch(io, self.leads, is_supported=is_supported)
