@@ -220,7 +220,7 @@ impl HostLoss<'_> {
         let statics = Statics { chain: self.chain, masses: self.masses, gravity: &self.gravity, q, rows };
         let holding = self.simd_level.dispatch_narrow(statics);
         let mut pull = [0.0; MAX_JOINTS];
-        for i in 0..self.params.n {
+        for i in 0..self.params.n.min(MAX_JOINTS) {
             let spring = self.params.servos.kp[i] * (self.goal[i] - q[i]);
             pull[i] = BaselineF64::clamp_abs(spring, self.limit[i]) - holding[i];
         }
@@ -232,7 +232,7 @@ impl HostLoss<'_> {
     fn advance(&self, q: &JointVec, turn: &JointVec) -> JointVec {
         let longest = turn.iter().fold(0.0_f64, |max, x| max.max(x.abs()));
         let (share, mut next) = ((MAX_JOINT_STEP / longest).min(1.0), *q);
-        for i in 0..self.params.n {
+        for i in 0..self.params.n.min(MAX_JOINTS) {
             let (lower, upper) = (self.params.lower[i].min(q[i]), self.params.upper[i].max(q[i]));
             next[i] = (q[i] + share * turn[i]).max(lower).min(upper);
         }

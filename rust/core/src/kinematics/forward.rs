@@ -1,6 +1,6 @@
 //! Forward kinematics: joint positions → frames of all joints and of the tool.
 
-use crate::math::simd::{BaselineF64, JointVector, Real, RealOps, ScalarVec3, Vec3Ops, sin_cos};
+use crate::math::simd::{BaselineF64x8, F64x8, JointVector, Real, RealOps, ScalarVec3, Vec3Ops, sin_cos};
 use crate::math::spatial::{Mat3, Vec3, multiply, splat, splat_matrix};
 use crate::model::Chain;
 use crate::pose::Pose;
@@ -129,14 +129,29 @@ impl Chain {
     ///
     /// `q` [rad or m]: `n` finite entries of at most [`COORDINATE_BOUND`](crate::pose::COORDINATE_BOUND), then zeros.
     pub fn forward(&self, q: &JointVec, frames: &mut JointFrames) {
-        self.forward_by::<BaselineF64>(q, frames);
+        self.forward_one::<BaselineF64x8>(q, frames);
+    }
+
+    /// Computes [`Chain::forward`] for one configuration, with the instruction set of `V`.
+    #[inline(always)]
+    pub(crate) fn forward_one<V: F64x8>(&self, q: &JointVec, frames: &mut JointFrames) {
+        let joint_trigs = if self.fits_f64x8() && self.total == self.path {
+            self.joint_trigs_simd::<V, MAX_JOINTS>(V::load(q))
+        } else {
+            self.joint_trigs::<V::Elem>(q, self.total)
+        };
+        self.forward_with::<V::Elem>(&joint_trigs, frames);
     }
 
     /// Computes [`Chain::forward`] for one configuration or for several.
     #[inline(always)]
     pub(crate) fn forward_by<A: RealOps>(&self, q: &[A::Real; MAX_JOINTS], frames: &mut JointFrames<A::Real>) {
-        let joint_trigs = self.joint_trigs::<A>(q, self.total);
-        frames.tool = self.forward_pass::<ScalarVec3<A>, MAX_JOINTS, true>(&joint_trigs, frames);
+        self.forward_with::<A>(&self.joint_trigs::<A>(q, self.total), frames);
+    }
+
+    #[inline(always)]
+    fn forward_with<A: RealOps>(&self, joint_trigs: &JointTrigs<'_, A::Real>, frames: &mut JointFrames<A::Real>) {
+        frames.tool = self.forward_pass::<ScalarVec3<A>, MAX_JOINTS, true>(joint_trigs, frames);
         for k in self.path..self.total.min(MAX_JOINTS) {
             let parent = self.parent[k];
             let (rotation, origin) = if parent < MAX_JOINTS {
@@ -149,7 +164,7 @@ impl Chain {
                 k,
                 &columns::<ScalarVec3<A>>(&turned),
                 ScalarVec3::from_components(origin),
-                &joint_trigs,
+                joint_trigs,
             );
             frames.visit_joint(k, &axes, origin);
         }

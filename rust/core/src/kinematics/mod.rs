@@ -162,7 +162,7 @@ impl Kernel for Statics<'_> {
     #[inline(always)]
     fn run<M: Isa>(self) -> JointVec {
         let (mut frames, mut torque) = (JointFrames::default(), [0.0; MAX_JOINTS]);
-        self.chain.forward_by::<M::Elem>(self.q, &mut frames);
+        self.chain.forward_one::<M::F64x8>(self.q, &mut frames);
         if let Some(rows) = self.rows {
             self.chain.jacobian_by::<M::Elem>(&frames, rows);
         }

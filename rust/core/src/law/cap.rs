@@ -1,9 +1,9 @@
 //! Law `cap`: each yielding task axis opposes a push with at most its force cap.
 
-use crate::law::wrench::Wrench;
-use crate::law::{AxisPush, ControlLaw, LawInput, LawOutput};
+use crate::law::wrench::{Wrench, WrenchDemand, WrenchLaw};
+use crate::law::{AxisPush, ControlLaw, LawInput};
 use crate::math::ldlt6::Ldlt6;
-use crate::math::rows::{Mat6, damped, diagonal, weighted_gram};
+use crate::math::rows::{Mat6, damped, diagonal};
 use crate::math::simd::{F64x8, JointVector};
 use crate::params::Follow;
 
@@ -75,14 +75,12 @@ impl<W: F64x8> CapProblem<'_, W> {
 /// The law `cap`.
 pub(crate) struct Cap;
 
-impl ControlLaw for Cap {
-    /// Returns the lead of the goals [rad]: the wrench mapped to the joints, scaled to the usable torques and the speed
-    /// limits.
+impl WrenchLaw for Cap {
     #[inline(always)]
-    fn solve<J: JointVector>(input: &LawInput<'_, J>) -> (LawOutput<J>, Option<J>) {
+    fn wrench<J: JointVector>(input: &LawInput<'_, J>, compliance: &Mat6) -> WrenchDemand<J> {
         let params = input.params;
         let problem = CapProblem {
-            compliance: &weighted_gram(input.rows, J::load(&params.servos.compliance)),
+            compliance,
             damping: params.per_stiffness(input.damping),
             step: input.demand.displacement,
             bounded_step: input.demand.clamped_displacement,
@@ -95,9 +93,11 @@ impl ControlLaw for Cap {
             let (force, speed) = input.pacing_force(diagonal(problem.compliance));
             (wrench.stiff, ahead) = (wrench.stiff + force, speed);
         }
-        (input.joint_offsets(wrench, input.null_motion(), input.friction(ahead)), None)
+        WrenchDemand { wrench, ahead, null_stiffness: None, gain_factor: params.gain_scale }
     }
+}
 
+impl ControlLaw for Cap {
     /// Returns the force [N, N·m] that opposes the push without a force cap: `s / (C_jj + (1 − w) λ²/k̄)`, where the
     /// step `s = h K_x ẽ` [m, rad] is within the step limit of the axis.
     fn force_at(push: &AxisPush<'_>) -> f64 {

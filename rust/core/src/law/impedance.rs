@@ -1,8 +1,8 @@
 //! Law `impedance`: a spring and a damper on each task axis, without inverse kinematics.
 
-use crate::law::wrench::Wrench;
-use crate::law::{AxisPush, ControlLaw, LawInput, LawOutput};
-use crate::math::rows::{diagonal, load_rows, mul, weighted_gram};
+use crate::law::wrench::{Wrench, WrenchDemand, WrenchLaw};
+use crate::law::{AxisPush, ControlLaw, LawInput};
+use crate::math::rows::{Mat6, diagonal, load_rows, mul, weighted_gram};
 use crate::math::simd::{F64x8, JointVec16, JointVector, RealOps};
 use crate::math::spectral::rho;
 use crate::params::Params;
@@ -10,11 +10,11 @@ use crate::{MAX_AXES, Rows};
 
 /// Returns the factor ≤ 1 on these gains with which their ratio ρ to the servos' stiffness is at most `bound`.
 #[inline(always)]
-fn share<J: JointVector>(input: &LawInput<'_, J>, gains: J::Axes, bound: f64) -> f64 {
-    if !J::Axes::any_lt(J::Axes::splat(0.0), gains) {
+fn share<W: F64x8>(compliance: &Mat6, gains: W, bound: f64) -> f64 {
+    if !W::any_lt(W::splat(0.0), gains) {
         return 1.0;
     }
-    let rho = rho(input.rows, J::load(&input.params.servos.compliance), gains);
+    let rho = rho(compliance, gains);
     if rho > bound { bound / rho } else { 1.0 }
 }
 
@@ -23,17 +23,19 @@ fn share<J: JointVector>(input: &LawInput<'_, J>, gains: J::Axes, bound: f64) ->
 /// adapted deviation, v the velocity of the tool. At this pose, f and f_D ≤ 1 keep `f ρ(K)` and `f_D ρ(D)` within their
 /// bounds; ρ is the ratio of the gains to the servos' stiffness.
 #[inline(always)]
-fn force<J: JointVector>(input: &LawInput<'_, J>) -> (J::Axes, J, f64) {
-    let (demand, [max_stiffness, max_damping]) = (input.demand, input.params.impedance_bounds);
-    let stiff = share(input, demand.stiffness, max_stiffness);
-    let damped = share(input, demand.damping, max_damping);
+fn force<J: JointVector>(input: &LawInput<'_, J>, compliance: &Mat6) -> (J::Axes, J, f64) {
+    let (demand, mut shares) = (input.demand, [1.0; 2]);
+    // A loop, because two calls would be inlined twice.
+    for (i, gains) in [demand.stiffness, demand.damping].into_iter().enumerate() {
+        shares[i] = share(compliance, gains, input.params.impedance_bounds[i]);
+    }
+    let [stiff, damped] = shares;
     let velocity = J::Axes::from_axes(&mul(input.rows, input.velocity));
     let spring = J::Axes::splat(stiff) * demand.stiffness * demand.adapted;
     let mut force = J::Axes::fma(J::Axes::splat(damped) * demand.damping, demand.twist - velocity, spring);
     let mut ahead = J::splat(0.0);
     if input.params.pace.on {
-        let gram = weighted_gram(input.rows, J::load(&input.params.servos.compliance));
-        let (pacing_force, speed) = input.pacing_force(diagonal(&gram));
+        let (pacing_force, speed) = input.pacing_force(diagonal(compliance));
         (force, ahead) = (force + pacing_force, speed);
     }
     (J::Axes::clamp_abs(force, demand.max_strength), ahead, stiff)
@@ -42,24 +44,17 @@ fn force<J: JointVector>(input: &LawInput<'_, J>) -> (J::Axes, J, f64) {
 /// The law `impedance`.
 pub(crate) struct Impedance;
 
-impl ControlLaw for Impedance {
-    /// Returns the lead of the goals `K_p⁻¹ Jᵀ F` [rad], scaled to the usable torques and the speed limits.
+impl WrenchLaw for Impedance {
     #[inline(always)]
-    fn solve<J: JointVector>(input: &LawInput<'_, J>) -> (LawOutput<J>, Option<J>) {
-        let (force, ahead, gain_factor) = force(input);
+    fn wrench<J: JointVector>(input: &LawInput<'_, J>, compliance: &Mat6) -> WrenchDemand<J> {
+        let (force, ahead, gain_factor) = force(input, compliance);
         let softness = input.demand.softness;
         let wrench = Wrench { soft: softness * force, stiff: (J::Axes::splat(1.0) - softness) * force };
-        let null = match input.params.null_stiffness {
-            // Null-space motion of a given stiffness κ, `−κ K_p⁻¹ N ∇cost` [rad]: its torque does no work on the task.
-            Some(stiffness) => {
-                let compliance = J::load(&input.params.servos.compliance);
-                input.null_space().project(input.gradient) * J::splat(-stiffness) * compliance
-            }
-            None => input.null_motion(),
-        };
-        (LawOutput { gain_factor, ..input.joint_offsets(wrench, null, input.friction(ahead)) }, None)
+        WrenchDemand { wrench, ahead, null_stiffness: input.params.null_stiffness, gain_factor }
     }
+}
 
+impl ControlLaw for Impedance {
     /// Returns `f K ẽ`.
     fn force_at(push: &AxisPush<'_>) -> f64 {
         push.gain_factor * push.params.per_axis[push.row].stiffness[push.side] * push.share * push.deviation
@@ -78,7 +73,7 @@ impl ControlLaw for Impedance {
             *gain = row.damping[0].max(row.damping[1]);
         }
         let gains = <JointVec16 as JointVector>::Axes::from_axes(&gains);
-        let rho = rho(&load_rows(rows), JointVec16::load(&params.servos.compliance), gains);
+        let rho = rho(&weighted_gram(&load_rows(rows), JointVec16::load(&params.servos.compliance)), gains);
         if rho > max { max / rho } else { 1.0 }
     }
 }

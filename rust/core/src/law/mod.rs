@@ -15,8 +15,8 @@ pub(crate) mod wrench;
 use crate::law::friction::{FrictionFeedForward, FrictionGains};
 use crate::law::nullspace::NullSpace;
 use crate::law::singularity::SingularityState;
-use crate::law::wrench::Wrench;
-use crate::math::rows::{mul, tr_mul};
+use crate::law::wrench::{Wrench, WrenchLaw};
+use crate::math::rows::{mul, tr_mul, weighted_gram};
 use crate::math::simd::{F64x8, JointVector, RealOps};
 use crate::params::{Features, Law, Params, Projector};
 use crate::task::ArmState;
@@ -115,12 +115,9 @@ pub(crate) struct LawOutput<J: JointVector> {
     pub(crate) gain_factor: f64,
 }
 
-/// A control law. The control step is compiled once per law; [`with_law`] selects the law.
+/// A control law, which [`with_law`] selects. [`solve`] computes its step: that of law `paper`, or one from the wrench of
+/// a [`WrenchLaw`](wrench::WrenchLaw).
 pub(crate) trait ControlLaw {
-    /// Returns the leads and the wrench of one step and, under law `paper` only, the joint torque budgets τ^q of
-    /// equation (11) of the paper.
-    fn solve<J: JointVector>(input: &LawInput<'_, J>) -> (LawOutput<J>, Option<J>);
-
     /// Returns the force [N, N·m] with which an arm at rest would oppose a push if its axis had no force cap; ∞ for a
     /// law that is not defined by forces.
     fn force_at(push: &AxisPush<'_>) -> f64;
@@ -157,10 +154,22 @@ macro_rules! with_law {
     };
 }
 
-/// Runs the law of the settings; inputs and outputs as [`ControlLaw::solve`].
+/// Runs the law of the settings. Returns the leads and the wrench of one step and, under law `paper` only, the joint
+/// torque budgets τ^q of equation (11) of the paper.
 #[inline(always)]
 pub(crate) fn solve<J: JointVector>(input: &LawInput<'_, J>) -> (LawOutput<J>, Option<J>) {
-    with_law!(input.features.law, L => L::solve(input))
+    let law = input.features.law;
+    if law == Law::Paper {
+        let (output, budget) = paper::solve(input);
+        return (output, Some(budget));
+    }
+    // What the laws that compute a wrench have in common is large, and compiled for each instruction set: only once.
+    let compliance = weighted_gram(input.rows, J::load(&input.params.servos.compliance));
+    let demand = match law {
+        Law::Impedance => impedance::Impedance::wrench(input, &compliance),
+        Law::Cap | Law::Paper => cap::Cap::wrench(input, &compliance),
+    };
+    (input.joint_offsets(&demand), None)
 }
 
 /// Returns the factor ≤ 1 on the gain of the stiff axes under the law of the settings; `last` is the factor of the last
@@ -230,23 +239,29 @@ impl<J: JointVector> LawInput<'_, J> {
     pub(crate) fn null_space(&self) -> NullSpace<'_, J> {
         let (params, size) = (self.params, (self.params.k, self.params.n));
         let weight = J::load(&params.joint_weight_inv);
-        match (params.projector, &self.singularity.factor) {
-            (Projector::Paper, _) => NullSpace::new(self.rows, weight, &self.damping.to_axes(), size),
+        let mu_squared = self.singularity.mu_squared;
+        let (rows, added) = match params.projector {
+            Projector::Paper => (self.rows, self.damping.to_axes()),
+            Projector::Exact => (self.scaled_rows, [mu_squared; MAX_AXES]),
+        };
+        match &self.singularity.factor {
             // With joint weights 1 and μ = 0, reuse the factor that the singular value tracking computed.
-            (Projector::Exact, Some(factor)) if !(params.has_joint_weights || self.singularity.mu_squared > 0.0) => {
-                NullSpace::of(self.scaled_rows, weight, factor, size)
+            Some(factor) if params.projector == Projector::Exact && !(params.has_joint_weights || mu_squared > 0.0) => {
+                NullSpace::of(rows, weight, factor, size)
             }
-            (Projector::Exact, _) => {
-                NullSpace::new(self.scaled_rows, weight, &[self.singularity.mu_squared; MAX_AXES], size)
-            }
+            _ => NullSpace::new(rows, weight, &added, size),
         }
     }
 
     /// Returns the null-space motion `−α h N ∇cost` [rad], before it is scaled to torque and speed limits: gain α,
-    /// horizon h, projector N.
+    /// horizon h, projector N. With a `stiffness` κ, returns `−κ K_p⁻¹ N ∇cost`, whose torque does no work on the task.
     #[inline(always)]
-    pub(crate) fn null_motion(&self) -> J {
-        let step = self.params.alpha * self.horizon;
-        if step == 0.0 { J::splat(0.0) } else { self.null_space().project(self.gradient) * J::splat(-step) }
+    pub(crate) fn null_motion(&self, stiffness: Option<f64>) -> J {
+        let step = stiffness.unwrap_or(self.params.alpha * self.horizon);
+        if step == 0.0 {
+            return J::splat(0.0);
+        }
+        let motion = self.null_space().project(self.gradient) * J::splat(-step);
+        if stiffness.is_some() { motion * J::load(&self.params.servos.compliance) } else { motion }
     }
 }

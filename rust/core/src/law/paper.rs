@@ -56,42 +56,41 @@ fn pacing_offset<J: JointVector>(input: &LawInput<'_, J>) -> J {
     compliance * tr_mul(input.rows, &input.pacing_force(c_diagonal).0.to_axes())
 }
 
+/// Returns the lead of the goals, `K_q (h J⁺Δx − α h N∇g)` [rad], and the joint torque budgets τ^q [N·m] of
+/// equation (11) of the paper. K_q is the gain of the joints, h the horizon, Δx the task velocity, α the gain of the
+/// null-space motion, N the null-space projector and ∇g the gradient of its cost.
+///
+/// With `budget_on_goal`, the step of each axis is clamped to its budget τ^x.
+#[inline(always)]
+pub(crate) fn solve<J: JointVector>(input: &LawInput<'_, J>) -> (LawOutput<J>, J) {
+    let params = input.params;
+    let (is_variant, size) = (input.features.paper_variants, (params.k, params.n));
+    let weight = if is_variant { J::load(&params.joint_weight_inv) } else { J::splat(1.0) };
+    let damped = NullSpace::new(input.rows, weight, &input.damping.to_axes(), size);
+    let pinv = damped.pseudo_inverse();
+    let mut step = input.demand.clamped_displacement;
+    if is_variant && params.budget_on_goal {
+        step = within_budget(&pinv, step, input.demand.max_strength, J::load(&params.servos.kp));
+    }
+    let task = match params.follow {
+        Follow::Free if is_variant => decoupled_offset(input, step),
+        _ => tr_mul(&pinv, &step.to_axes()),
+    };
+    let task = if input.features.tool_speed && params.pace.on { task + pacing_offset(input) } else { task };
+    let (null_space, along) = match params.projector {
+        Projector::Exact if is_variant => {
+            let exact = input.null_space();
+            (exact, exact.project(input.gradient))
+        }
+        _ => (damped, damped.project_by(&pinv, input.gradient)),
+    };
+    within_limits(input, &pinv, task, &null_space, along)
+}
+
 /// The law `paper`.
 pub(crate) struct Paper;
 
 impl ControlLaw for Paper {
-    /// Returns the lead of the goals, `K_q (h J⁺Δx − α h N∇g)` [rad], and the joint torque budgets τ^q [N·m] of
-    /// equation (11) of the paper. K_q is the gain of the joints, h the horizon, Δx the task velocity, α the gain of the
-    /// null-space motion, N the null-space projector and ∇g the gradient of its cost.
-    ///
-    /// With `budget_on_goal`, the step of each axis is clamped to its budget τ^x.
-    #[inline(always)]
-    fn solve<J: JointVector>(input: &LawInput<'_, J>) -> (LawOutput<J>, Option<J>) {
-        let params = input.params;
-        let (is_variant, size) = (input.features.paper_variants, (params.k, params.n));
-        let weight = if is_variant { J::load(&params.joint_weight_inv) } else { J::splat(1.0) };
-        let damped = NullSpace::new(input.rows, weight, &input.damping.to_axes(), size);
-        let pinv = damped.pseudo_inverse();
-        let mut step = input.demand.clamped_displacement;
-        if is_variant && params.budget_on_goal {
-            step = within_budget(&pinv, step, input.demand.max_strength, J::load(&params.servos.kp));
-        }
-        let task = match params.follow {
-            Follow::Free if is_variant => decoupled_offset(input, step),
-            _ => tr_mul(&pinv, &step.to_axes()),
-        };
-        let task = if input.features.tool_speed && params.pace.on { task + pacing_offset(input) } else { task };
-        let (null_space, along) = match params.projector {
-            Projector::Exact if is_variant => {
-                let exact = input.null_space();
-                (exact, exact.project(input.gradient))
-            }
-            _ => (damped, damped.project_by(&pinv, input.gradient)),
-        };
-        let (output, budget) = within_limits(input, &pinv, task, &null_space, along);
-        (output, Some(budget))
-    }
-
     /// Returns ∞, because the budgets bound joint torques, not forces.
     fn force_at(_push: &AxisPush<'_>) -> f64 {
         f64::INFINITY

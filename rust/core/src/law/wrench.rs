@@ -1,10 +1,9 @@
 //! The lead (goal − q) that exerts a wrench at the tool, within the limits of torque and joint speed; for the laws
 //! `cap` and `impedance`.
 
-use crate::law::friction::FrictionFeedForward;
 use crate::law::scaling::scale_to_fit;
-use crate::law::{LawInput, LawOutput};
-use crate::math::rows::tr_mul;
+use crate::law::{ControlLaw, LawInput, LawOutput};
+use crate::math::rows::{Mat6, tr_mul};
 use crate::math::simd::{F64x8, JointVector, RealOps};
 
 /// Wrench on the tool in task axes [N, N·m], in two parts, which torque and speed limits reduce separately.
@@ -30,19 +29,35 @@ impl<W: F64x8> Wrench<W> {
     }
 }
 
+/// Result of a law that computes a wrench.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct WrenchDemand<J: JointVector> {
+    /// Wrench that the servos are to exert.
+    pub(crate) wrench: Wrench<J::Axes>,
+    /// Joint speeds [rad/s] at the velocity of the reference, toward which friction acts on joints at rest.
+    pub(crate) ahead: J,
+    /// Stiffness of the null-space motion; `None`: its speed is proportional to the gradient.
+    pub(crate) null_stiffness: Option<f64>,
+    /// Factor ≤ 1 on the gain of the stiff axes, required by delay and pose.
+    pub(crate) gain_factor: f64,
+}
+
+/// A law that computes a wrench at the tool; [`LawInput::joint_offsets`] computes the leads that exert it.
+pub(crate) trait WrenchLaw: ControlLaw {
+    /// Returns the wrench of one step, not yet scaled to the usable torques and the speed limits. `compliance` is
+    /// `C = J K_p⁻¹ Jᵀ` [m/N, rad/(N·m)].
+    fn wrench<J: JointVector>(input: &LawInput<'_, J>, compliance: &Mat6) -> WrenchDemand<J>;
+}
+
 impl<J: JointVector> LawInput<'_, J> {
-    /// Returns the lead of the goals [rad] that exerts `wrench`, plus the null-space motion `null` [rad]. To keep the
+    /// Returns the lead of the goals [rad] that exerts the wrench of `demand`, plus the null-space motion. To keep the
     /// joint speed limits, the null-space part is reduced first, then the soft, then the stiff part; to keep the usable
     /// torques, the soft, then the stiff part.
     #[inline(always)]
-    pub(crate) fn joint_offsets(
-        &self,
-        wrench: Wrench<J::Axes>,
-        null: J,
-        friction: FrictionFeedForward<J>,
-    ) -> LawOutput<J> {
-        let (params, servos) = (self.params, &self.params.servos);
-        let null = self.bound_null(null);
+    pub(crate) fn joint_offsets(&self, demand: &WrenchDemand<J>) -> LawOutput<J> {
+        let (params, servos, wrench) = (self.params, &self.params.servos, &demand.wrench);
+        let null = self.bound_null(self.null_motion(demand.null_stiffness));
+        let friction = self.friction(demand.ahead);
         let (kp, compliance, torque) = (J::load(&servos.kp), J::load(&servos.compliance), J::load(&servos.torque));
 
         // Usable torques: reduce the soft part first, then the stiff part; never gravity.
@@ -68,7 +83,7 @@ impl<J: JointVector> LawInput<'_, J> {
             },
             factors,
             feed_forward,
-            gain_factor: params.gain_scale,
+            gain_factor: demand.gain_factor,
         }
     }
 

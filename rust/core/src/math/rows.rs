@@ -78,9 +78,13 @@ fn gram<J: JointVector>(rows: &[J; MAX_AXES], d: J) -> Mat6 {
     out
 }
 
-/// Returns `Jᵀ w`.
+outlined_formula! {
+    /// Returns `Jᵀ w`.
+    fn tr_mul<J>(rows: &[J; MAX_AXES], w: &AxisVec) -> J as sum_of_rows
+}
+
 #[inline(always)]
-pub(crate) fn tr_mul<J: JointVector>(rows: &[J; MAX_AXES], w: &AxisVec) -> J {
+fn sum_of_rows<J: JointVector>(rows: &[J; MAX_AXES], w: &AxisVec) -> J {
     let (mut even, mut odd) = (rows[0] * J::splat(w[0]), rows[1] * J::splat(w[1]));
     for pair in 1..MAX_AXES / 2 {
         even = J::fma(rows[2 * pair], J::splat(w[2 * pair]), even);

@@ -1,35 +1,35 @@
 //! Smooth upper bound on the largest eigenvalue of a symmetric 6 × 6 matrix.
 
-use super::rows::weighted_gram;
-use super::simd::{F64x8, JointVector, RealOps};
+use super::rows::Mat6;
+use super::simd::{F64x8, RealOps};
 use crate::MAX_AXES;
 
 /// Number of squarings, which raise the matrix to the power 2⁶ = 64 so that the largest eigenvalue dominates.
 const SQUARINGS: usize = 6;
 
 /// Returns `ρ = (Σ λ_i⁶⁴)^(1/64)` over the eigenvalues λ_i of `K_p⁻¹ Jᵀ K J`: the stiffness K of the axes relative to
-/// that of the servos.
+/// that of the servos, whose compliance at the axes is `c = J K_p⁻¹ Jᵀ`.
 ///
 /// ρ is at least the largest eigenvalue and at most 3 % above it (for six equal eigenvalues). It is smooth where
-/// eigenvalues cross and needs no state. `compliance` is 1/k_p of each joint.
+/// eigenvalues cross and needs no state.
 #[inline(always)]
-pub(crate) fn rho<J: JointVector>(rows: &[J; MAX_AXES], compliance: J, stiffness: J::Axes) -> f64 {
+pub(crate) fn rho<W: F64x8>(c: &Mat6, stiffness: W) -> f64 {
     // √K C √K has the same eigenvalues, and is symmetric.
-    let (root, c) = (J::Axes::sqrt(stiffness), weighted_gram(rows, compliance));
+    let root = W::sqrt(stiffness);
     let roots = root.to_axes();
     let mut m = [root; MAX_AXES];
     for r in 0..MAX_AXES {
-        m[r] = J::Axes::from_axes(&c[r]) * root * J::Axes::splat(roots[r]);
+        m[r] = W::from_axes(&c[r]) * root * W::splat(roots[r]);
     }
     // Divide by the trace before each squaring, to prevent overflow.
     let mut traces = [0.0; SQUARINGS];
     for trace in &mut traces {
         *trace = trace_of(&m);
-        m = squared(&m, 1.0 / J::Elem::max(*trace, f64::MIN_POSITIVE));
+        m = squared(&m, 1.0 / W::Elem::max(*trace, f64::MIN_POSITIVE));
     }
     let mut power = trace_of(&m);
     for trace in traces.iter().rev() {
-        power = *trace * J::Elem::sqrt(power);
+        power = *trace * W::Elem::sqrt(power);
     }
     power
 }
@@ -59,8 +59,8 @@ fn squared<W: F64x8>(m: &[W; MAX_AXES], factor: f64) -> [W; MAX_AXES] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::math::rows::load_rows;
-    use crate::math::simd::JointVec16;
+    use crate::math::rows::{load_rows, weighted_gram};
+    use crate::math::simd::{JointVec16, JointVector};
     use crate::{JointVec, MAX_JOINTS};
 
     #[test]
@@ -74,9 +74,8 @@ mod tests {
         let mut compliance: JointVec = [1.0; MAX_JOINTS];
         compliance[..7].copy_from_slice(&[1.0 / 150.0, 1.0 / 150.0, 1e-2, 1e-2, 1.0 / 60.0, 1.0 / 60.0, 1.0 / 60.0]);
         let of = |stiffness: &[f64; 6]| {
-            rho::<JointVec16>(
-                &load_rows(&rows),
-                JointVec16::load(&compliance),
+            rho(
+                &weighted_gram(&load_rows(&rows), JointVec16::load(&compliance)),
                 <JointVec16 as JointVector>::Axes::from_axes(stiffness),
             )
         };

@@ -53,7 +53,7 @@ impl Svd {
         }
         let lengths: Vec<f64> = b.column_iter().map(|column| column.norm()).collect();
         let mut order: Vec<usize> = (0..n).collect();
-        order.sort_by(|&i, &j| lengths[j].total_cmp(&lengths[i]));
+        order.sort_unstable_by(|&i, &j| lengths[j].total_cmp(&lengths[i]).then(i.cmp(&j)));
         let unit = |i: usize| if lengths[i] > 0.0 { 1.0 / lengths[i] } else { 0.0 };
         Some(Self {
             u: DMatrix::from_fn(m.nrows(), n, |r, c| b[(r, order[c])] * unit(order[c])),

@@ -2,7 +2,7 @@
 
 use crate::error::{Error, Result};
 use crate::math::rounding::{self, round_down};
-use crate::math::rows::load_rows;
+use crate::math::rows::{load_rows, weighted_gram};
 use crate::math::simd::{F64x8, JointVec16, JointVector};
 use crate::math::spectral::rho;
 use crate::model::Model;
@@ -103,7 +103,8 @@ fn overshoot(model: &Model, params: &Params, gains: &AxisVec, max: f64) -> f64 {
         return 0.0;
     }
     let compliance = JointVec16::load(&params.servos.compliance);
-    let of = |rows: &Rows| rho(&load_rows(rows), compliance, F64x8::from_axes(gains));
+    let gains = <JointVec16 as JointVector>::Axes::from_axes(gains);
+    let of = |rows: &Rows| rho(&weighted_gram(&load_rows(rows), compliance), gains);
     joint_space::median_over_rows(model, &params.axes, &params.frame, of) / max
 }
 

@@ -203,7 +203,7 @@ pub(crate) fn check_holding(model: &Model, usable: &JointVec, masses: &GroupMass
 
 /// Returns the median of `values`, which it sorts; 0 if there are none.
 pub(crate) fn median(values: &mut [f64]) -> f64 {
-    values.sort_by(f64::total_cmp);
+    values.sort_unstable_by(f64::total_cmp);
     match values.len() {
         0 => 0.0,
         len if len % 2 == 1 => values[len / 2],
