@@ -380,10 +380,9 @@ class Loop:
         goals that hold the arm there. A controller that your program steps itself starts with goals
         at the positions, so that the arm sinks before it is carried.
 
-        Raises:
-            TypeError: The object assigned has no `reset`.
-            ConfigError: Its model is of another robot; it steps another arm in a loop that has not
-                ended; or the loop has a recorder, which records one controller.
+        Assigning raises `TypeError` if the object has no `reset`, and `ConfigError` if its model is
+        of another robot, if it steps another arm in a loop that has not ended, or if the loop has a
+        recorder, which records one controller.
         """
         return self._controller
 
