@@ -530,7 +530,7 @@ def test_an_assigned_controller_holds_the_arm_as_it_takes_over(robot, guided):
     assert np.linalg.norm(moved, axis=1).max() < 0.006
 
 
-def test_an_assigned_controller_belongs_to_its_loop(tmp_path):
+def test_an_assigned_controller_belongs_to_its_loop():
     class Recorder:
         def start(self, _arm, controller, _rate):
             return controller
