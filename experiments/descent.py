@@ -159,7 +159,7 @@ class Job(Case):
     def run(self) -> DescentResult:
         """Enable the arm, lower it, enable it again, and return the recorded result."""
         kind = SlowDrive if self.cycle else SimDrive
-        with _over_bytes(self) if self.on_bytes else _simulated(self, kind) as (arm, recorder):
+        with _over_bytes(self) if self.on_bytes else simulated_arm(self, kind) as (arm, recorder):
             if isinstance(arm.drive, SlowDrive):
                 arm.drive.cycle = self.cycle
             plant, clock = recorder.plant, arm.clock
@@ -219,7 +219,12 @@ class HandJob(Case):
 
     def run(self) -> HandResult:
         """Enable the arm and return the recorded result."""
-        with _over_bytes(self) if self.on_bytes else _simulated(self, HandDrive) as (arm, recorder):
+        with (
+            _over_bytes(self) if self.on_bytes else simulated_arm(self, HandDrive) as (
+                arm,
+                recorder,
+            )
+        ):
             begin = arm.clock.now()
             moved, jerk = self.enable(arm, recorder)
             seconds = arm.clock.now() - begin - BEFORE
@@ -264,7 +269,7 @@ class ParkJob(Case):
     def run(self) -> ParkResult:
         """Enable the arm, park it, and return the recorded result."""
         rest = np.asarray(configuration(self.arm).life.rest_q)
-        with _over_bytes(self) if self.on_bytes else _simulated(self) as (arm, recorder):
+        with _over_bytes(self) if self.on_bytes else simulated_arm(self) as (arm, recorder):
             self.enable(arm, recorder)
             recorder.begin()
             recorder.rest_q = rest
@@ -396,7 +401,7 @@ class PeakRecorder:
 
 
 @contextmanager
-def _simulated(job: Case, kind: type[SimDrive] = SimDrive) -> Iterator[tuple[Arm, PeakRecorder]]:
+def simulated_arm(job: Case, kind: type[SimDrive] = SimDrive) -> Iterator[tuple[Arm, PeakRecorder]]:
     """Return the arm of a job on the simulator with a drive of this kind, and its recorder.
 
     The servos already hold the arm, as after an earlier program: with the leads that the true

@@ -4,22 +4,28 @@ In random poses of every arm, `pliant.HandGuiding` makes the arm weightless. The
 the drift of the untouched arm in 10 s, the force that guides the arm by hand, and the motion after
 the release, at rest or in the middle of the motion. The true k_p is half, one and two times the
 assumed one; the servos have an encoder step of 0.088° and a dead band of 0.06°.
+
+With ``--swing``, it measures the initial swing instead: of arms with torque on in random poses,
+with true k_p, friction and delay that differ from the assumed ones, and with an unknown load.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 import pliant
-from experiments import command_line, markdown
+from experiments import command_line, descent, markdown
 from experiments.arms import load
 from experiments.runner import Job, run_by_key
+from pliant.identify.hand_guiding import UNKNOWN_STIFFNESS_FACTOR
 from pliant.sim import Drag, ForceProfile, Plant
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from experiments.poses import Array
 
 
@@ -33,6 +39,8 @@ HAND_START, HAND_END, RELEASE, END = 22.0, 24.0, 25.0, 35.0
 MOVING_RELEASE = 23.0
 #: Distance by which the hand moves the tool of each arm along y [m].
 DISTANCES = {"arm7": 0.12, "so101": 0.05, "koch": 0.05}
+#: Seed of poses and parameters of the initial swings, unknown loads [kg], and control rate [Hz].
+SWING_SEED, SWING_LOADS, RATE = 5, (0.0, 0.1, 0.2), 100.0
 
 
 @dataclass(frozen=True)
@@ -125,6 +133,109 @@ def guide(
     )
 
 
+@dataclass(frozen=True)
+class SwingResult:
+    """Motion of the tool in the initial swing of an arm, and after it.
+
+    Attributes:
+        moved, up, down: Largest displacement, rise and drop [m].
+        speed: Largest speed [m/s].
+        left: Displacement at the end of the swing [m].
+        later, fastest: Largest displacement [m] and speed [m/s] in the 10 s that follow.
+    """
+
+    moved: float
+    up: float
+    down: float
+    speed: float
+    left: float
+    later: float
+    fastest: float
+
+
+def swing(name: str, number: int, load: float) -> SwingResult | None:
+    """Begin hand guiding after torque on, with wrong assumptions; None if it refuses to go on.
+
+    Args:
+        name: Name of the arm.
+        number: Number of random pose and true parameters, as in `experiments.descent`.
+        load: Load at the tool that the controller does not know [kg].
+    """
+    q, truth = descent.random_parameters(descent.robot(name), number + 1, seed=SWING_SEED)[number]
+    largest = UNKNOWN_STIFFNESS_FACTOR
+    stiffness = np.clip(truth.stiffness, 1.0 / largest, largest)
+    truth = replace(truth, load=load, stiffness=tuple(stiffness.tolist()))
+    case = descent.Case(arm=name, number=number, over_table=False, q=tuple(q), truth=truth)
+    with descent.simulated_arm(case) as (arm, recorder):
+        arm.enable()
+        guiding = pliant.HandGuiding(arm.model, arm.servos)
+        recorder.begin()
+        lowest, end = 0.0, np.inf
+        try:
+            for tick in pliant.Loop(arm, guiding, rate=RATE):
+                tick.step()
+                moved = recorder.plant.tool[:3, 3] - recorder.start
+                if end == np.inf:
+                    lowest = min(lowest, float(moved[2]))
+                    if not guiding.ready:
+                        continue
+                    peaks, left = recorder.seen, float(np.linalg.norm(moved))
+                    recorder.begin()
+                    end = tick.time + 10.0
+                if tick.time > end:
+                    break
+        except pliant.ServoError:
+            return None
+        finally:
+            after = recorder.seen
+            arm.disable_torque()
+    return SwingResult(
+        peaks.moved, peaks.rise, -lowest, peaks.speed, left, after.moved, after.speed
+    )
+
+
+def swings(arms: Sequence[str], poses: int, jobs: int) -> str:
+    """Return a table of the initial swings: median and largest value over the poses."""
+    names = arms or tuple(name for name in descent.ARMS if descent.is_here(name))
+    cases = [(name, mass) for name in names for mass in SWING_LOADS]
+    work = [
+        Job(f"{name} {mass} {pose}", swing, (name, pose, mass))
+        for name, mass in cases
+        for pose in range(poses)
+    ]
+    outcomes = run_by_key(work, jobs)
+    rows = []
+    for name, mass in cases:
+        runs = [outcomes[f"{name} {mass} {pose}"] for pose in range(poses)]
+        done = [run for run in runs if run is not None]
+        texts = [
+            _median_and_largest([scale * getattr(run, figure) for run in done], digits)
+            for figure, scale, digits in (
+                ("moved", 1e3, 0),
+                ("up", 1e3, 0),
+                ("down", 1e3, 0),
+                ("speed", 1.0, 2),
+                ("left", 1e3, 1),
+                ("later", 1e3, 1),
+                ("fastest", 1.0, 2),
+            )
+        ]
+        rows.append((name, f"{mass:g}", *texts, str(len(runs) - len(done))))
+    columns = (
+        "arm",
+        "load [kg]",
+        "moves [mm]",
+        "up [mm]",
+        "down [mm]",
+        "speed [m/s]",
+        "at the end [mm]",
+        "then untouched 10 s [mm]",
+        "at most [m/s]",
+        "refused",
+    )
+    return markdown.table(columns, rows)
+
+
 def main(
     *,
     arm: command_line.Arms = (),
@@ -132,6 +243,7 @@ def main(
     jobs: int = 2,
     creep: float = CREEP,
     moving: bool = False,
+    swing: bool = False,
 ) -> None:
     """Measure hand guiding; print median / 95th percentile / largest value over the poses.
 
@@ -141,7 +253,11 @@ def main(
         jobs: Number of processes.
         creep: Creep speed of joints held by friction, relative to MuJoCo's default.
         moving: True: the hand lets go in the middle of its motion, not at rest.
+        swing: True: measure the initial swing instead.
     """
+    if swing:
+        print(swings(arm, poses, jobs))
+        return
     release = MOVING_RELEASE if moving else RELEASE
     cases = [(name, kp) for name in arm or tuple(DISTANCES) for kp in (0.5, 1.0, 2.0)]
     work = [
@@ -163,7 +279,7 @@ def main(
     rows = []
     for name, kp in cases:
         runs = [outcomes[f"{name} {kp} {pose}"] for pose in range(poses)]
-        idle, force, sag, later, swing = (
+        idle, force, sag, later, back = (
             scale * np.array([getattr(run, figure) for run in runs])
             for figure, scale in (
                 ("idle", 1e3),
@@ -175,9 +291,14 @@ def main(
         )
         share = f"{100.0 * float(np.mean(idle < 2.0)):.0f}"
         rows.append(
-            (name, f"{kp:g}", _spread(idle), share, *map(_spread, (force, sag, later, swing)))
+            (name, f"{kp:g}", _spread(idle), share, *map(_spread, (force, sag, later, back)))
         )
     print(markdown.table(columns, rows))
+
+
+def _median_and_largest(values: Sequence[float], digits: int) -> str:
+    """Return median and largest value as text, with this number of decimals."""
+    return f"{np.median(values):.{digits}f} / {max(values):.{digits}f}"
 
 
 def _spread(values: Array) -> str:

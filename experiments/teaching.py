@@ -31,8 +31,8 @@ ARMS = {
     "arm7": ([-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657], 0.15, 0.06, 5.0),
     "so101": ([0.0, -0.3, 0.3, 0.9, 0.0], 0.08, 0.03, 2.0),
 }
-#: Start and duration of the motion of the hand that teaches [s].
-HAND_START, HAND_DURATION = 9.0, 3.0
+#: Start and duration of the motion of the hand that teaches [s]; it starts after the initial swing.
+HAND_START, HAND_DURATION = 14.0, 3.0
 #: Stiffness [N/m] and largest force [N] of every hand.
 STIFFNESS, LIMIT = 2000.0, 60.0
 #: Time span in which a hand holds the tool, in the time of the simulation that replays [s].

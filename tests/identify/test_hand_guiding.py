@@ -7,9 +7,10 @@ import pytest
 from mismatch import Mismatch, Parameters
 
 import pliant
-from experiments import steps
+from experiments import descent, steps
 from experiments.arms import BESIDE, ROBOTS
-from experiments.hand_guiding import guide
+from experiments.hand_guiding import SWING_SEED, guide, swing
+from pliant.identify._excitation import opposing_signs
 from pliant.sim import Plant
 
 
@@ -29,6 +30,83 @@ def test_an_untouched_arm_stays_and_can_be_guided(arm, pose, kp):
     assert result.force < (12.0 if arm == "arm7" else 2.0)
     assert result.led > 0.04
     assert result.later < 4e-3
+    # In pose 1 of `arm7`, the arm rests while the hand still pulls.
+    assert result.sag < 0.02
+
+
+@pytest.mark.parametrize(("arm", "number"), [("so101", 1), ("so101", 5), ("koch", 3), ("arm7", 3)])
+def test_the_swing_is_slow_and_small_whatever_the_stiffness(arm, number):
+    """The true stiffness of the joints is up to 2.2 times as large or small as assumed."""
+    model = descent.robot(arm)
+    _, truth = descent.random_parameters(model, number + 1, seed=SWING_SEED)[number]
+    assert np.abs(np.log(truth.stiffness)).max() > 0.3
+    found = swing(arm, number, 0.0)
+    assert found.speed < 0.2
+    assert found.moved < 0.05
+    assert found.left < 0.015
+    assert found.later < 5e-3
+
+
+def test_an_unknown_load_is_refused_where_the_weight_does_not_explain_the_goals():
+    arm, number, load = "koch", 7, 0.1
+    assert swing(arm, number, 0.0) is not None
+    assert swing(arm, number, load) is None
+
+
+def test_goals_of_the_swing_move_slowly(arm, grasp):
+    guiding, q, goals = pliant.HandGuiding(arm), np.array(grasp), []
+    while not guiding.ready:
+        command = guiding.step(q)
+        goals.append(command.goal)
+        q = command.goal - np.asarray(arm.gravity(q)) / arm.servos.kp
+    speeds = np.abs(np.diff(goals, axis=0)).max(axis=0) / 0.01
+    assert (speeds > 0.05).all()
+    assert (speeds < 0.5).all()
+
+
+@pytest.mark.parametrize("name", ["so101", "arm7"])
+def test_joints_swing_against_each_other(name):
+    model = pliant.robots.load(name)
+    columns = np.asarray(model.jacobian(descent.READY[name]))[:3]
+    signs = opposing_signs(columns)
+    assert set(np.abs(signs)) == {1.0}
+    moved = np.linalg.norm(columns @ signs)
+    assert moved < 0.5 * np.linalg.norm(columns @ np.ones(model.n))
+
+
+def test_captured_goals_carry_the_arm_from_the_first_command_on(arm, grasp):
+    guiding, kp = pliant.HandGuiding(arm), np.asarray(arm.servos.kp)
+    ratio = np.array([0.6, 0.6, 1.7, 1.7, 1.0, 1.0, 1.0])
+    needed = np.asarray(arm.gravity(grasp))
+    goal = grasp + needed / (ratio * kp)
+    first = guiding.step(grasp).goal
+    loaded = np.abs(needed) > 3.0 * np.asarray(arm.servos.friction)
+    assert loaded[:4].any()
+    assert np.abs(first - goal)[loaded].max() > 3e-3
+    stiffness = guiding.capture_gravity(grasp, goal)
+    assert stiffness[loaded] == pytest.approx((ratio * kp)[loaded], rel=1e-6)
+    assert stiffness[~loaded] == pytest.approx(kp[~loaded])
+    guiding.reset(grasp)
+    assert guiding.step(grasp).goal == pytest.approx(goal, abs=1e-3)
+    with pytest.raises(pliant.ShapeError, match="goal"):
+        guiding.capture_gravity(grasp, goal[:3])
+
+
+def test_the_tool_is_followed_slowly(arm, grasp):
+    """An arm that falls, or is torn away, is held back by its servos."""
+    guiding = pliant.HandGuiding(arm)
+    while not guiding.ready:
+        guiding.step(grasp)
+    q, law = np.array(grasp), guiding._law
+    before = guiding.step(q).goal
+    for _ in range(20):
+        q[1] += 0.02  # 2 rad/s
+        goal = guiding.step(q).goal
+        followed = np.asarray(arm.jacobian(q))[:3] @ (goal - before)
+        before = goal
+    assert law.speed[1] > 1.0
+    # 0.25 m/s, and the change of the leads with the weight.
+    assert 0.2 < np.linalg.norm(followed) / 0.01 < 0.3
 
 
 @pytest.mark.full

@@ -20,8 +20,10 @@ if TYPE_CHECKING:
 
     Motion = Generator[Command, Array, Array]
 
-#: Largest speed of a joint on the way between two poses [rad/s].
-TRAVEL_SPEED = 0.4
+#: Largest speeds of a joint [rad/s] and of the tool [m/s] on the way between two poses.
+TRAVEL_SPEED, TRAVEL_TOOL_SPEED = 0.4, 0.1
+#: Number of sections of a way, along which the way of the tool is measured.
+TRAVEL_SECTIONS = 16
 #: Duration of each reversal of an oscillation, as a share of its period [1].
 REVERSAL_SHARE = 0.2
 #: A joint counts as blocked if it lags behind its planned position by `tracking_tolerance` plus
@@ -77,6 +79,8 @@ class Excitation:
         period: Control period [s].
         torque_share: Torque allowed in addition to gravity, as a share of the maximum torque [1].
         stiffness_uncertainty: Factor by which the true stiffness may be smaller than assumed.
+        opposing: True: oscillating joints start in such directions that the tool moves little;
+            False: all in the same direction, so that their loads vary more.
 
     Attributes:
         extra_torque: Torques that hold the arm in addition to gravity, against a payload that the
@@ -94,6 +98,7 @@ class Excitation:
         *,
         torque_share: float = 0.6,
         stiffness_uncertainty: float = 1.3,
+        opposing: bool = False,
     ) -> None:
         torque_share = number(torque_share, "torque_share", 0.01, 1.0)
         period = number(period, "period", 1e-3, 0.1, "s")
@@ -116,10 +121,13 @@ class Excitation:
         else:
             self.back_emf = np.zeros(n)
         self._torque_share, self.stiffness_uncertainty = torque_share, stiffness_uncertainty
+        self._opposing = opposing
         self._count_or_one = np.where(self.count > 0.0, self.count, 1.0)
         self.extra_torque: Array = np.zeros(n)
         self.records: list[Record] = []
         self.undriven: list[int] = []
+        #: Last planned positions (n,) [rad]; None before the first motion.
+        self._planned: Array | None = None
 
     def start_record(self, driven: int = -1) -> Record:
         """Start and return a new record; `driven` is the joint driven by its torque limit."""
@@ -218,6 +226,7 @@ class Excitation:
                     f"joint {self.model.joint_names[joint]} stays {lag[joint]:.2f} rad behind: "
                     "something holds it, or its servo is much weaker than its table"
                 )
+            self._planned = planned
             q = yield from self.send(
                 q, planned + self.gravity_lead(planned), self.limits(planned), rate
             )
@@ -225,6 +234,7 @@ class Excitation:
 
     def hold(self, q: Array) -> Motion:
         """Hold the measured positions q (n,) [rad] for one tick; return the next positions."""
+        self._planned = q
         return (yield from self.send(q, q + self.gravity_lead(q), self.limits(q), np.zeros(self.n)))
 
     @property
@@ -232,12 +242,20 @@ class Excitation:
         """Largest lag of a joint that friction and a wrong gravity model may cause (n,) [rad]."""
         return (8.0 * self.friction + 0.5 * self.torque) / self.kp
 
-    def travel(self, q: Array, start: Array, end: Array) -> Motion:
-        """Move from pose `start` to pose `end` (n,) [rad] and rest there for 0.4 s.
+    def travel(self, q: Array, end: Array) -> Motion:
+        """Move to pose `end` (n,) [rad] and rest there for 0.4 s.
 
-        q are the present measured positions (n,) [rad]. Return the last positions read.
+        The motion starts at the last planned positions; the first one starts at the measured
+        positions q (n,) [rad]. Return the last positions read.
         """
-        seconds = max(0.5 * np.pi * np.abs(end - start).max() / TRAVEL_SPEED, self.period)
+        start = q if self._planned is None else self._planned
+        shares = np.linspace(0.0, 1.0, TRAVEL_SECTIONS + 1)
+        tool = [self.model.forward_kinematics(start + s * (end - start))[:3, 3] for s in shares]
+        # The cosine below is π/2 times as fast in the middle as on average.
+        sections = np.linalg.norm(np.diff(tool, axis=0), axis=1)
+        by_tool = TRAVEL_SECTIONS * sections.max() / TRAVEL_TOOL_SPEED
+        by_joint = np.abs(end - start).max() / TRAVEL_SPEED
+        seconds = max(0.5 * np.pi * max(by_joint, by_tool), self.period)
         count = max(int(np.ceil(seconds / self.period)), 1)
         phase = np.arange(1, count + 1) / count
         share = 0.5 - 0.5 * np.cos(np.pi * phase)
@@ -250,10 +268,12 @@ class Excitation:
         """Oscillate all joints about a pose by ±size (n,) [rad]; return the last positions read.
 
         The speed is constant between reversals. One oscillation takes `seconds`; their number
-        `swings` may be fractional.
+        `swings` may be fractional. The motion starts at the pose, where the joints must be.
         """
         time = np.arange(1, round(swings * seconds / self.period) + 1) * self.period
         wave, slope = triangle(time / seconds)
+        if self._opposing:
+            size = size * opposing_signs(np.asarray(self.model.jacobian(pose))[:3] * size)
         path = pose + wave[:, None] * size
         return (yield from self.follow(q, path, slope[:, None] * size / seconds))
 
@@ -285,6 +305,7 @@ class Excitation:
                 self.undriven.append(joint)
                 self.start_record()
                 return (yield from self.hold(q))
+            self._planned = np.where(np.arange(self.n) == joint, q, pose)
             torque = float(self.model.gravity(q)[joint] + self.extra_torque[joint])
             torque += np.tanh(rate / 0.02) * FRICTION_SHARE * self.friction[joint] + viscous * rate
             torque += spring * (planned - q[joint])
@@ -313,6 +334,18 @@ class Excitation:
                     q, target + self.gravity_lead(pose), self.limits(pose), np.zeros(self.n)
                 )
         return q
+
+
+def opposing_signs(columns: Array) -> Array:
+    """Return signs ±1 (n,) with which the sum of the columns (m, n) is small.
+
+    From the longest column to the shortest, each sign shortens the sum.
+    """
+    total, signs = np.zeros(len(columns)), np.ones(columns.shape[1])
+    for i in np.argsort(-np.linalg.norm(columns, axis=0)):
+        signs[i] = -1.0 if total @ columns[:, i] > 0.0 else 1.0
+        total += signs[i] * columns[:, i]
+    return signs
 
 
 def triangle(phase: ArrayLike) -> tuple[Array, Array]:

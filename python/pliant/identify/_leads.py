@@ -75,12 +75,12 @@ def _measure(rig: Excitation, q: Array, like: Leads | None) -> Steps[Leads]:
     else:
         pose, size = like.pose, like.size
     rig.start_record()
-    q = yield from rig.travel(q, q, pose)
+    q = yield from rig.travel(q, pose)
     rig.records.clear()
     swing = rig.start_record()
     q = yield from rig.sweep(q, pose, size, *SWINGS)
     rig.start_record()
-    yield from rig.travel(q, pose, pose)
+    yield from rig.travel(q, pose)
     rig.records[:] = [swing]
     means, sigma = np.full((3, rig.n), np.nan), np.full(rig.n, np.nan)
     rows = [(s.joint, s.direction, s.drive, s.gravity, s.payload[0]) for s in all_segments(rig)]

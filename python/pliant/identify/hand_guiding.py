@@ -24,7 +24,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant._core import Command, ConfigError, HandGuidingLaw, Model, Payload, Servos
+from pliant._core import (
+    Command,
+    ConfigError,
+    HandGuidingLaw,
+    Model,
+    Payload,
+    ServoError,
+    Servos,
+)
 from pliant._validation import format_value, instance, number, vector
 from pliant.identify._excitation import Excitation
 from pliant.identify._segments import all_segments, first_moments, payload_rows
@@ -33,7 +41,7 @@ from pliant.identify.servos import widen_swing
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-    from pliant._typing import Array
+    from pliant._typing import Array, Mask
     from pliant.identify._segments import Segment
     from pliant.identify.procedure import Steps
 
@@ -41,6 +49,13 @@ if TYPE_CHECKING:
 #: Factor by which the assumed stiffness may be wrong in either direction [1], with
 #: `stiffness_known` True and False.
 KNOWN_STIFFNESS_FACTOR, UNKNOWN_STIFFNESS_FACTOR = 1.1, 2.2
+#: Bounds of the ratio of measured to assumed stiffness in `HandGuiding.capture_gravity` [1].
+CAPTURE_RANGE = (0.3, 3.0)
+#: Gravity torque above which `HandGuiding.capture_gravity` measures the stiffness of a joint, in
+#: units of its friction.
+MIN_CAPTURE_LOAD = 3.0
+#: Mean lead of a joint above which its weight must explain the lead, in units of its friction.
+MIN_LEAD = 3.0
 #: Amplitude of the joints in the initial oscillation [rad].
 SWING = 0.04
 #: Torque with which a joint can resist a hand, as a share of the maximum torque [1].
@@ -98,7 +113,7 @@ class HandGuiding:
         self._stiffness_factor = (
             KNOWN_STIFFNESS_FACTOR if table.stiffness_known else UNKNOWN_STIFFNESS_FACTOR
         )
-        self._rig = Excitation(model, table, self._dt, stiffness_uncertainty=self._stiffness_factor)
+        self._rig = self._excitation(self._dt)
         self._damping = self._rig.damping + self._rig.kv + self._rig.back_emf
         self._moments = np.zeros(4)
         if payload is not None:
@@ -107,6 +122,8 @@ class HandGuiding:
         self._total_moments = self._moments.copy()
         if model.payload is not None:
             self._total_moments += first_moments(model.payload.mass, model.payload.com)
+        #: Torque that holds the arm: `ratio` times the gravity torque plus `offset`, (2, n).
+        self._captured = np.array([np.ones(self._n), np.zeros(self._n)])
         self._first_swing: Steps[Array] | None = None
         self._law: HandGuidingLaw | None = None
 
@@ -133,12 +150,41 @@ class HandGuiding:
         q = self._positions(q)
         # Clip the period: a very early or late first tick gives one that `Excitation` rejects.
         period = min(max(self._dt, 1e-3), 0.1)
-        self._rig = Excitation(
-            self._model, self._table, period, stiffness_uncertainty=self._stiffness_factor
-        )
-        self._rig.extra_torque = payload_rows(self._model, q) @ self._moments
+        self._rig = self._excitation(period)
+        ratio, offset = self._captured
+        held = ratio * self._holding_torque(q) + offset
+        self._rig.extra_torque = held - np.asarray(self._model.gravity(q))
         self._first_swing, self._law = self._swing_procedure(q), None
         self._command = next(self._first_swing)
+
+    def capture_gravity(self, q: ArrayLike, goal: ArrayLike) -> Array:
+        """Measure how the arm is held, while goals hold it still, for the initial oscillation.
+
+        With a wrong k_p or an unknown load the arm would otherwise sink or rise as it begins. Takes
+        effect with the next `reset`. `pliant.Loop` calls it with what the arm measured when torque
+        was switched on, unless the stiffness of the servos is known.
+
+        Args:
+            q: Joint positions (n,) [rad].
+            goal: Goals that hold the arm there (n,) [rad].
+
+        Returns:
+            Stiffness of the joints (n,) [N·m/rad] at which gravity alone explains the goals. A
+            joint whose gravity torque is small keeps the assumed one.
+
+        Raises:
+            ShapeError: `q` or `goal` is not n finite numbers; nothing has changed.
+        """
+        q, goal = self._positions(q), vector(goal, self._n, "goal", "rad")
+        kp, needed = self._rig.kp, self._holding_torque(q)
+        held = kp * (goal - q)
+        resolution = np.maximum(self._rig.friction, kp * self._rig.count)
+        is_loaded = np.abs(needed) > MIN_CAPTURE_LOAD * resolution
+        ratio = np.ones(self._n)
+        low, high = CAPTURE_RANGE
+        ratio[is_loaded] = np.clip(held[is_loaded] / needed[is_loaded], 1.0 / high, 1.0 / low)
+        self._captured = np.array([ratio, held - ratio * needed])
+        return kp / ratio
 
     def step(self, q: ArrayLike, *, dt: float | None = None) -> Command:
         """Return goals and torque limits for measured positions q (n,) [rad].
@@ -153,7 +199,8 @@ class HandGuiding:
             ShapeError: q is not n finite numbers; nothing has changed.
             OutOfRangeError: `dt` is out of range, or the initial oscillation would leave the
                 position limits.
-            ServoError: A joint does not follow the initial oscillation.
+            ServoError: A joint does not follow the initial oscillation, or neither its weight nor a
+                wrong k_p explains the goals that hold it.
         """
         q = self._positions(q)
         self._dt = self._period if dt is None else number(dt, "dt", 1e-6, 1.0, "s")
@@ -167,6 +214,12 @@ class HandGuiding:
             except StopIteration:
                 self._finish_swing(q)
         return self._command
+
+    def _excitation(self, period: float) -> Excitation:
+        factor = self._stiffness_factor
+        return Excitation(
+            self._model, self._table, period, stiffness_uncertainty=factor, opposing=True
+        )
 
     def _swing_procedure(self, q: Array) -> Steps[Array]:
         """Oscillate all joints slowly, return to the start and rest; return the last positions."""
@@ -203,6 +256,7 @@ class HandGuiding:
             lead[i], half = 0.5 * (up + down), 0.5 * (up - down)
             swung[i] = True
             friction[i] = max(half - middle[i] * self._damping[i] * speed, 0.3 * half, 0.0)
+        self._check_leads(lead, friction, base, swung)
         self._law = HandGuidingLaw(
             self._model,
             self._table,
@@ -217,6 +271,29 @@ class HandGuiding:
             torque_share=TORQUE_SHARE,
             payload_moments=self._moments.tolist(),
         )
+
+    def _check_leads(self, lead: Array, friction: Array, holding: Array, swung: Mask) -> None:
+        """Raise `ServoError` if a joint needs a lead that neither its load nor k_p explains.
+
+        Args:
+            lead: Measured leads (n,) [rad].
+            friction: Measured friction, as leads (n,) [rad].
+            holding: Torques that hold the arm according to model and payload (n,) [N·m].
+            swung: Joints whose lead was measured (n,).
+        """
+        factor = self._stiffness_factor
+        ends = [holding / (share * self._rig.kp) for share in (1.0 / factor, factor)]
+        low, high = np.min(ends, axis=0), np.max(ends, axis=0)
+        # The play of a joint at rest covers a smaller excess.
+        excess = np.maximum(low - lead, lead - high) - friction - self._rig.count - INITIAL_PLAY
+        is_wrong = swung & (excess > 0.0) & (np.abs(lead) > MIN_LEAD * friction)
+        for i in np.flatnonzero(is_wrong):
+            raise ServoError(
+                f"goal and position of joint {self._model.joint_names[i]} differ by "
+                f"{lead[i]:.3f} rad at rest, where its weight explains {low[i]:.3f} to "
+                f"{high[i]:.3f} rad: is there a load that the model lacks? Pass payload=, or take "
+                "it off; otherwise k_p or zero are wrong: identify_servos measures k_p"
+            )
 
     def _segment_load(self, segment: Segment) -> float:
         """Return the gravity torque of a segment's joint, with all payloads [N·m]."""

@@ -101,7 +101,7 @@ def _estimate(
     size, q = yield from widen_swing(rig, q, amplitude)
     route = pose_list(rig, rig.fit_within_limits(start, size), poses, span, size)
     rig.start_record()
-    q = yield from rig.travel(q, start, route[-1])
+    q = yield from rig.travel(q, route[-1])
     q = yield from swing_at_poses(rig, q, route[::-1], size)
     rows = all_segments(rig)
     if not rows:

@@ -27,6 +27,8 @@ MAX_RESIDUAL_RATIO = 2.0
 #: Standard deviations by which a force or a negative mass at the tool must differ from 0 to be
 #: reported [1].
 SIGNIFICANCE = 4.0
+#: Horizontal force below which errors of the model can look like a force [N].
+MIN_FORCE = 0.2
 #: Smallest `PayloadEstimate.sigma_reduction` of a direction that the data determine [1].
 MIN_REDUCTION = 0.5
 
@@ -250,7 +252,7 @@ class Identification:
         )
         out += self.payload.summary()
         force = float(np.linalg.norm(self.tool_force))
-        if force > SIGNIFICANCE * self.tool_force_sigma:
+        if force > max(SIGNIFICANCE * self.tool_force_sigma, MIN_FORCE):
             where = ", ".join(
                 f"{axis} {f:+.1f}" for axis, f in zip("xyz", self.tool_force, strict=True)
             )

@@ -156,13 +156,13 @@ def widen_swing(rig: Excitation, q: Array, amplitude: float) -> Steps[tuple[Arra
     for _ in range(MAX_WIDENINGS + 1):
         pose = rig.fit_within_limits(start, size)
         rig.start_record()
-        q = yield from rig.travel(q, start, pose)
+        q = yield from rig.travel(q, pose)
         record = rig.start_record()
         q = yield from rig.sweep(q, pose, size, *SLOW_SWING)
         positions = np.array(record.q)[-round(SLOW_SWING[0] / rig.period) :]
         deficit = amplitude - 0.5 * (positions.max(axis=0) - positions.min(axis=0))
         rig.start_record()
-        q = yield from rig.travel(q, pose, start)
+        q = yield from rig.travel(q, start)
         if (deficit < 0.3 * amplitude).all():
             break
         rig.records.remove(record)
@@ -175,13 +175,11 @@ def swing_at_poses(rig: Excitation, q: Array, route: list[Array], size: Array) -
 
     `size` is the amplitude of the goals (n,) [rad].
     """
-    previous = route[0]
     for pose in route:
         rig.start_record()
-        q = yield from rig.travel(q, previous, pose)
+        q = yield from rig.travel(q, pose)
         rig.start_record()
         q = yield from rig.sweep(q, pose, size, *SLOW_SWING)
-        previous = pose
     return q
 
 
@@ -192,14 +190,16 @@ def _identify(
     start = q
     size, q = yield from widen_swing(rig, q, amplitude)
     route = pose_list(rig, rig.fit_within_limits(start, size), poses, span, size)
-    q = yield from rig.travel(q, start, route[-1])
+    q = yield from rig.travel(q, route[-1])
     q = yield from swing_at_poses(rig, q, route[::-1], size)
     home = route[0]
     for seconds, swings in FURTHER_SWINGS:
         rig.start_record()
+        q = yield from rig.travel(q, home)
+        rig.start_record()
         q = yield from rig.sweep(q, home, size, seconds, swings)
     rig.start_record()
-    q = yield from rig.travel(q, home, home)
+    q = yield from rig.travel(q, home)
 
     first = _fit(rig, Priors(limit=limit_error))
     assumed = rig.kp, rig.friction
@@ -211,7 +211,7 @@ def _identify(
             rig.start_record(joint)
             q = yield from rig.drive_by_limit(q, home, joint, float(size[joint]), pace)
             rig.start_record()
-            q = yield from rig.travel(q, home, home)
+            q = yield from rig.travel(q, home)
     steps = []
     for joint in range(rig.n):
         steps.append(rig.start_record())

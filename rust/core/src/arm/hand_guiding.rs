@@ -13,8 +13,8 @@
 //!
 //! The interval from c_low to c_high contains the compliance 1/k_p. The play w grows by the possible error of the lead,
 //! so a wrong k_p can let the arm sag within the play but cannot make it drift. When the arm rests after a motion, its
-//! lead is known within ρ + w₀. This narrows the interval; w_e keeps the play as it was,
-//! and fades with the next motion.
+//! lead is known within ρ + w₀, unless a hand holds it. Two rests narrow the interval to what explains either; w_e keeps
+//! the play as it was, and fades with the next motion.
 
 use std::sync::Arc;
 
@@ -54,6 +54,9 @@ const MIN_PLAY: f64 = 2e-3;
 const MIN_PLAY_COUNTS: f64 = 1.5;
 /// Smallest play w₀ of a joint at rest, as a multiple of the lead ρ [rad] that overcomes its friction.
 const MIN_PLAY_FRICTION: f64 = 0.15;
+/// Largest speed at which the tool is followed [m/s], as in
+/// [`Settings::max_tool_speed`](crate::Settings::max_tool_speed).
+const MAX_TOOL_SPEED: f64 = 0.25;
 /// Largest speed of the goals [rad/s].
 const MAX_GOAL_SPEED: f64 = 3.0;
 /// Largest time step of one call [s]; a longer `dt` is clamped to it.
@@ -150,8 +153,10 @@ pub struct HandGuiding {
     speed: JointVec,
     /// Positions at the last motion [rad].
     rest_q: JointVec,
-    /// Positions at which the lead was last corrected at rest [rad].
+    /// Positions at which the arm was last at rest after a motion [rad].
     learnt_q: JointVec,
+    /// Interval of 1/k_p that explains this rest [rad/(N·m)].
+    learnt: [[f64; 2]; MAX_JOINTS],
     /// Time since the last motion [s].
     rest_time: f64,
     /// True if the arm has moved far enough since that correction for a further one.
@@ -207,6 +212,7 @@ impl HandGuiding {
             speed: [0.0; MAX_JOINTS],
             rest_q: q,
             learnt_q: q,
+            learnt: [[f64::NEG_INFINITY, f64::INFINITY]; MAX_JOINTS],
             rest_time: 0.0,
             has_moved: false,
         };
@@ -217,7 +223,7 @@ impl HandGuiding {
             if swing.swung[i] {
                 guiding.gravity[i] = gravity[i];
                 if gravity[i] != 0.0 {
-                    guiding.narrow(i, (lead[i] - error) / gravity[i], (lead[i] + error) / gravity[i]);
+                    guiding.narrow(i, [lead[i] - error, lead[i] + error].map(|lead| lead / gravity[i]));
                 }
             }
             guiding.min_play[i] = MIN_PLAY.max(MIN_PLAY_COUNTS * count).max(MIN_PLAY_FRICTION * friction[i]);
@@ -261,30 +267,51 @@ impl HandGuiding {
         let ahead: JointVec = std::array::from_fn(|i| q[i] + PREDICTION_SHARE * self.options.delay * self.speed[i]);
         let gravity = self.holding_torque(&ahead);
         self.learn_at_rest(&q, dt);
-        let mut limit = [0.0; MAX_JOINTS];
+        let (mut lead, mut steps, mut limit) = ([0.0; MAX_JOINTS], [0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
         for i in 0..self.n {
             let change = gravity[i] - self.gravity[i];
-            let lead = self.lead[i] + 0.5 * (self.low[i] + self.high[i]) * change;
+            lead[i] = self.lead[i] + 0.5 * (self.low[i] + self.high[i]) * change;
             let uncertainty = 0.5 * (self.high[i] - self.low[i]) * change.abs();
             let direction = (self.speed[i] / FRICTION_SPEED).tanh();
             // A correction learnt at rest takes effect with motion only, so that no goal moves at rest.
             self.excess_play[i] *= 1.0 - direction.abs() * (dt / SHRINK_TIME).min(1.0);
             self.play[i] = self.min_play[i] * (1.0 - PLAY_LOSS * direction.abs()) + uncertainty + self.excess_play[i];
-            self.anchor[i] = self.anchor[i].max(ahead[i] - self.play[i]).min(ahead[i] + self.play[i]);
+            steps[i] = self.anchor[i].max(ahead[i] - self.play[i]).min(ahead[i] + self.play[i]) - self.anchor[i];
+        }
+        let share = self.allowed_share(&q, &steps, dt);
+        for i in 0..self.n {
+            self.anchor[i] += share * steps[i];
+            let direction = (self.speed[i] / FRICTION_SPEED).tanh();
             let feed_forward = FRICTION_SHARE * self.friction[i] * direction
                 + DAMPING_SHARE * self.low[i] * self.damping[i] * self.speed[i];
-            let goal = (self.anchor[i] + lead + feed_forward)
-                .max(self.model.lower()[i] + lead)
-                .min(self.model.upper()[i] + lead);
+            let goal = (self.anchor[i] + lead[i] + feed_forward)
+                .max(self.model.lower()[i] + lead[i])
+                .min(self.model.upper()[i] + lead[i]);
             let max_change = MAX_GOAL_SPEED * dt;
             self.goal[i] += (goal - self.goal[i]).max(-max_change).min(max_change);
-            let needed = (1.1 * gravity[i].abs()).max(self.kp[i] * lead.abs());
+            let needed = (1.1 * gravity[i].abs()).max(self.kp[i] * lead[i].abs());
             limit[i] = self.max_torque[i].min(needed + self.options.torque_share * self.max_torque[i]);
         }
         Ok(Command::new(self.n, self.goal, limit, [f64::INFINITY; MAX_JOINTS]))
     }
 
-    /// Narrows the interval of 1/k_p once the arm rests after a motion; the goals do not move.
+    /// Returns the share of `steps` of the anchors [rad] that moves the tool at [`MAX_TOOL_SPEED`] at most. A faster arm
+    /// is held back by its servos: a fall, with a load that the model lacks, then remains slow.
+    fn allowed_share(&self, q: &JointVec, steps: &JointVec, dt: f64) -> f64 {
+        let mut rows: Rows = [[0.0; MAX_JOINTS]; MAX_AXES];
+        if self.model.kinematics_into(&q[..self.n], Reference::WorldAligned, &mut rows).is_err() {
+            return 1.0;
+        }
+        let squares = rows[..3].iter().map(|row| {
+            let moved: f64 = row[..self.n].iter().zip(steps).map(|(column, step)| column * step).sum();
+            moved * moved
+        });
+        let moved = squares.sum::<f64>().sqrt();
+        if moved > MAX_TOOL_SPEED * dt { MAX_TOOL_SPEED * dt / moved } else { 1.0 }
+    }
+
+    /// Narrows the interval of 1/k_p once the arm rests after a motion, to what explains this rest or the one before:
+    /// at one of them a hand may have held the arm. The goals do not move.
     fn learn_at_rest(&mut self, q: &JointVec, dt: f64) {
         let has_moved_by =
             |from: &JointVec, least: &dyn Fn(usize) -> f64| (0..self.n).any(|i| (q[i] - from[i]).abs() > least(i));
@@ -303,9 +330,14 @@ impl HandGuiding {
             let change = gravity[i] - self.gravity[i];
             let (before, uncertainty) = (self.low[i] + self.high[i], 0.5 * (self.high[i] - self.low[i]) * change.abs());
             let (lead_change, band) = (self.goal[i] - q[i] - self.lead[i], self.friction[i] + self.min_play[i]);
-            if change != 0.0 {
-                self.narrow(i, (lead_change - band) / change, (lead_change + band) / change);
-            }
+            let found = if change == 0.0 {
+                [f64::NEG_INFINITY, f64::INFINITY]
+            } else {
+                let ends = [(lead_change - band) / change, (lead_change + band) / change];
+                [ends[0].min(ends[1]), ends[0].max(ends[1])]
+            };
+            let previous = std::mem::replace(&mut self.learnt[i], found);
+            self.narrow(i, [found[0].min(previous[0]), found[1].max(previous[1])]);
             // The anchor compensates the change of the lead, so that the goal does not change.
             self.anchor[i] += 0.5 * (before - self.low[i] - self.high[i]) * change;
             self.excess_play[i] = self.excess_play[i].max(uncertainty);
@@ -315,7 +347,7 @@ impl HandGuiding {
     /// Intersects the interval of 1/k_p of joint i with the interval from `a` to `b`, in either order.
     ///
     /// If the intersection is empty, e.g. because a hand leans on the arm, the interval does not change.
-    fn narrow(&mut self, i: usize, a: f64, b: f64) {
+    fn narrow(&mut self, i: usize, [a, b]: [f64; 2]) {
         let (low, high) = (self.low[i].max(a.min(b)), self.high[i].min(a.max(b)));
         if low < high {
             (self.low[i], self.high[i]) = (low, high);
