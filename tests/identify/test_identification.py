@@ -7,6 +7,8 @@ from mismatch import Mismatch, Parameters
 import pliant
 from experiments import identification as experiment
 from pliant import identify, robots
+from pliant.identify._excitation import Excitation
+from pliant.identify.servos import STEP_LENGTH, _step_size
 from pliant.sim import ForceProfile, Plant, Push
 
 #: Largest errors: k_p of joints with and without gravity, friction, damping [1]; delay [s].
@@ -133,6 +135,19 @@ def test_a_force_that_lifts_the_tool_is_reported():
     assert not found.payload.found
     assert "kg lighter than in the model" in str(found)
     assert "horizontal force" not in str(found)
+
+
+@pytest.mark.parametrize("name", ["so101", "arm7"])
+def test_goal_steps_move_the_tool_little(name):
+    model, q = robots.load(name), experiment.STARTS[name]
+    rig = Excitation(model, model.servos, 0.01)
+    wide, narrow = np.full(model.n, 0.4), np.full(model.n, 0.01)
+    size = _step_size(rig, np.array(q), wide)
+    moved = 2.0 * (size - rig.friction / rig.kp)
+    reach = np.linalg.norm(np.asarray(model.jacobian(q))[:3], axis=0)
+    assert (moved * reach < 1.001 * STEP_LENGTH).all()
+    assert (moved > 0.02).all()
+    assert (_step_size(rig, np.array(q), narrow) <= narrow).all()
 
 
 def test_the_result_makes_a_controller():

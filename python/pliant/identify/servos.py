@@ -41,6 +41,9 @@ FURTHER_SWINGS = ((1.8, 2.25), (5.0, 1.25))
 LIMIT_SWINGS = ((1.8, 2.25), (5.0, 1.25))
 #: Number of step changes of each joint's goal, from which the delay is identified.
 STEP_COUNT = 7
+#: Distance by which such a step moves the tool [m], and smallest distance of tool and joint axis
+#: for which it does [m].
+STEP_LENGTH, MIN_REACH = 0.015, 0.1
 
 
 def _make_procedure(
@@ -212,12 +215,23 @@ def _identify(
             q = yield from rig.drive_by_limit(q, home, joint, float(size[joint]), pace)
             rig.start_record()
             q = yield from rig.travel(q, home)
-    steps = []
+    steps, step_size = [], _step_size(rig, home, size)
     for joint in range(rig.n):
         steps.append(rig.start_record())
-        q = yield from rig.steps(q, home, joint, float(size[joint]), STEP_COUNT)
+        q = yield from rig.steps(q, home, joint, float(step_size[joint]), STEP_COUNT)
     rig.kp, rig.friction = assumed
     return fit_all(rig, home, steps, limit_error)
+
+
+def _step_size(rig: Excitation, q: Array, size: Array) -> Array:
+    """Return half the height of the goal steps (n,) [rad], which move the tool by `STEP_LENGTH`.
+
+    The goal steps by 2 f/k_p more than the joint, with the friction f [N·m] and the stiffness k_p
+    [N·m/rad] found so far. `size` (n,) [rad] are upper bounds.
+    """
+    reach = np.linalg.norm(np.asarray(rig.model.jacobian(q))[:3], axis=0)
+    moved = STEP_LENGTH / np.maximum(reach, MIN_REACH)
+    return np.minimum(rig.friction / rig.kp + 0.5 * moved, size)
 
 
 def fit_all(
