@@ -231,7 +231,8 @@ def _step_size(rig: Excitation, q: Array, size: Array) -> Array:
     """
     reach = np.linalg.norm(np.asarray(rig.model.jacobian(q))[:3], axis=0)
     moved = STEP_LENGTH / np.maximum(reach, MIN_REACH)
-    return np.minimum(rig.friction / rig.kp + 0.5 * moved, size)
+    out: Array = np.minimum(rig.friction / rig.kp + 0.5 * moved, size)
+    return out
 
 
 def fit_all(
