@@ -595,8 +595,8 @@ class Loop:
         if controller is None or (before is not None and self._is_held(q, before)):
             return
         if first:
-            self._capture()
-        # Reset after `_capture`, which changes only the gravity offset: `reset` sets goals with it.
+            capture_leads(self._arm, controller)
+        # Reset afterwards: the goals of `reset` depend on the gravity offset.
         controller.reset(q)
         if isinstance(self._stepped, Controller):
             self._prime(controller, q)
@@ -630,22 +630,6 @@ class Loop:
             and float(np.abs(q - before.q).max()) <= HELD
             and float(np.abs(self._arm._io.goal - command.goal).max()) <= SAME_GOAL
         )
-
-    def _capture(self) -> None:
-        """Set the controller's gravity offset, if the stiffness of the servos is not known.
-
-        The offset follows from the lead (goal minus position) that held each joint when torque was
-        switched on, and from the weight at the positions of that time: the arm may have moved
-        since. For joints without a measured lead, the lead is the gravity torque divided by the
-        assumed stiffness.
-        """
-        arm, capture = self._arm, getattr(self._controller, "capture_gravity", None)
-        leads = getattr(arm, "leads", None)
-        if capture is None or leads is None or arm.servos.stiffness_known:
-            return
-        q = arm._leads_q
-        modelled = np.asarray(arm.model.gravity(q)) / np.asarray(arm.servos.kp)
-        capture(q, q + np.where(np.isfinite(leads), leads, modelled))
 
     def _watch_first_steps(self, tick: Tick, command: Command) -> None:
         """Warn if commands keep coming from the first steps of controllers.
@@ -738,6 +722,22 @@ class Loop:
                 "returns old readings or readings with a wrong time"
             )
         tell(delay)
+
+
+def capture_leads(arm: Arm, controller: Any) -> None:
+    """Pass the leads of torque on to a controller, if the stiffness of the servos is not known.
+
+    Its `capture_gravity`, if it has one, derives the gravity offset from the lead (goal minus
+    position) that held each joint when torque was switched on, and from the weight at the positions
+    of that time: the arm may have moved since. For joints without a measured lead, the lead is the
+    gravity torque divided by the assumed stiffness.
+    """
+    capture, leads = getattr(controller, "capture_gravity", None), getattr(arm, "leads", None)
+    if capture is None or leads is None or arm.servos.stiffness_known:
+        return
+    q = arm._leads_q
+    modelled = np.asarray(arm.model.gravity(q)) / np.asarray(arm.servos.kp)
+    capture(q, q + np.where(np.isfinite(leads), leads, modelled))
 
 
 def _check_controller(controller: Any, arm: Arm) -> None:

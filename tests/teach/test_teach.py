@@ -11,6 +11,8 @@ from bare_arm import bare_arm, left_enabled
 
 import pliant
 import pliant.robots
+from experiments import descent
+from experiments.hand_guiding import SWING_SEED
 from pliant.cli import main
 from pliant.cli.teach import _save_elsewhere
 from pliant.sim import Drag, ForceProfile
@@ -383,3 +385,20 @@ def test_a_motion_whose_file_cannot_be_written_is_kept_elsewhere(tmp_path, capsy
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "none"))
     with pytest.raises(OSError, match="disk full"):
         _save_elsewhere(motion, file, OSError("disk full"))
+
+
+def test_teaching_begins_with_the_leads_that_hold_the_arm():
+    """The joints are half as stiff as assumed."""
+    model = descent.robot("so101")
+    q, truth = descent.random_parameters(model, 2, seed=SWING_SEED)[1]
+    assert truth.stiffness == (0.5,) * 5
+    truth = replace(truth, load=0.0)
+    case = descent.Case(arm="so101", number=1, over_table=False, q=tuple(q), truth=truth)
+    with descent.simulated_arm(case) as (arm, _):
+        arm.enable()
+        state = arm.read()
+        begun = Teacher(arm).step(state).goal - state.q
+        assumed = np.asarray(model.gravity(state.q)) / model.servos.kp
+        assert np.abs(arm.leads - assumed).max() > 0.05
+        assert begun == pytest.approx(arm.leads, abs=0.01)
+        arm.disable_torque()

@@ -28,8 +28,8 @@ APPROACH_SPEED = 0.5
 #: Longest duration of the oscillation in which hand guiding measures the friction [s].
 SWING_TIMEOUT = 30.0
 #: Speed of a fictitious hand motion [rad/s] from the last position of hand guiding to the position
-#: to which a policy has moved the arm.
-CATCH_UP_SPEED = 1.0
+#: to which a policy has moved the arm; `HandGuiding` follows it (0.25 m/s at the tool).
+CATCH_UP_SPEED = 0.25
 #: Time at rest at the end of the fictitious hand motion [s].
 CATCH_UP_REST = 0.3
 
@@ -273,6 +273,10 @@ class _Guiding:
     def ready(self) -> bool:
         """True once the friction is measured."""
         return self._guiding.ready
+
+    def capture_gravity(self, q: np.ndarray, goal: np.ndarray) -> np.ndarray:
+        """Measure how the arm is held, as `HandGuiding.capture_gravity`."""
+        return self._guiding.capture_gravity(q, goal)
 
     def reset(self, q: np.ndarray) -> None:
         """Continue at q (n,) [rad], wherever other commands have moved the arm."""

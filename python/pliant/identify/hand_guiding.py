@@ -291,8 +291,9 @@ class HandGuiding:
             raise ServoError(
                 f"goal and position of joint {self._model.joint_names[i]} differ by "
                 f"{lead[i]:.3f} rad at rest, where its weight explains {low[i]:.3f} to "
-                f"{high[i]:.3f} rad: is there a load that the model lacks? Pass payload=, or take "
-                "it off; otherwise k_p or zero are wrong: identify_servos measures k_p"
+                f"{high[i]:.3f} rad: is there a load that the model lacks? State it (payload=, or "
+                "robot.payload in the arm's file) or take it off; otherwise k_p or zero are wrong: "
+                "identify_servos measures k_p"
             )
 
     def _segment_load(self, segment: Segment) -> float:

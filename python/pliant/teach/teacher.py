@@ -8,7 +8,7 @@ import numpy as np
 
 from pliant._core import PliantError
 from pliant.identify import HandGuiding
-from pliant.loop import Loop
+from pliant.loop import Loop, capture_leads
 from pliant.teach.motion import Motion
 
 if TYPE_CHECKING:
@@ -49,6 +49,7 @@ class Teacher:
     def __init__(self, arm: Arm, *, rate: float = 100.0) -> None:
         self._arm, self._dt = arm, 1.0 / rate
         self._guiding = HandGuiding(arm.model, arm.servos, rate=rate)
+        capture_leads(arm, self._guiding)
         self._samples: list[tuple[float, Array, dict[str, float]]] = []
         self.recording = False
         self.still, self.moved = 0.0, False
