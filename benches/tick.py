@@ -192,7 +192,9 @@ class StageTimer:
             if not self.on:
                 return call(*args, **kwargs)
             self._add()
-            self._stack.append(TRANSACTIONS[self._stack[-1]] if stage == "bytes" else stage)
+            top = self._stack[-1]
+            # A transaction that makes another one, after a failure, belongs to the same stage.
+            self._stack.append(TRANSACTIONS.get(top, top) if stage == "bytes" else stage)
             try:
                 return call(*args, **kwargs)
             finally:
