@@ -219,12 +219,8 @@ class HandJob(Case):
 
     def run(self) -> HandResult:
         """Enable the arm and return the recorded result."""
-        with (
-            _over_bytes(self) if self.on_bytes else simulated_arm(self, HandDrive) as (
-                arm,
-                recorder,
-            )
-        ):
+        opened = _over_bytes(self) if self.on_bytes else simulated_arm(self, HandDrive)
+        with opened as (arm, recorder):
             begin = arm.clock.now()
             moved, jerk = self.enable(arm, recorder)
             seconds = arm.clock.now() - begin - BEFORE

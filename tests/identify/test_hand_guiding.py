@@ -22,7 +22,7 @@ def guide_arm(arm, pose, kp):
 
 
 @pytest.mark.parametrize(
-    ("arm", "pose", "kp"), [("arm7", 1, 0.5), ("arm7", 2, 2.0), ("so101", 0, 1.0)]
+    ("arm", "pose", "kp"), [("arm7", 1, 0.5), ("arm7", 1, 2.0), ("arm7", 2, 2.0), ("so101", 0, 1.0)]
 )
 def test_an_untouched_arm_stays_and_can_be_guided(arm, pose, kp):
     result = guide_arm(arm, pose, kp)
@@ -30,7 +30,7 @@ def test_an_untouched_arm_stays_and_can_be_guided(arm, pose, kp):
     assert result.force < (12.0 if arm == "arm7" else 2.0)
     assert result.led > 0.04
     assert result.later < 4e-3
-    # In pose 1 of `arm7`, the arm rests while the hand still pulls.
+    # In pose 1 of `arm7` with twice the stiffness, the arm rests while the hand still pulls.
     assert result.sag < 0.02
 
 

@@ -267,22 +267,22 @@ impl HandGuiding {
         let ahead: JointVec = std::array::from_fn(|i| q[i] + PREDICTION_SHARE * self.options.delay * self.speed[i]);
         let gravity = self.holding_torque(&ahead);
         self.learn_at_rest(&q, dt);
+        let direction = self.speed.map(|speed| (speed / FRICTION_SPEED).tanh());
         let (mut lead, mut steps, mut limit) = ([0.0; MAX_JOINTS], [0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
         for i in 0..self.n {
             let change = gravity[i] - self.gravity[i];
             lead[i] = self.lead[i] + 0.5 * (self.low[i] + self.high[i]) * change;
             let uncertainty = 0.5 * (self.high[i] - self.low[i]) * change.abs();
-            let direction = (self.speed[i] / FRICTION_SPEED).tanh();
             // A correction learnt at rest takes effect with motion only, so that no goal moves at rest.
-            self.excess_play[i] *= 1.0 - direction.abs() * (dt / SHRINK_TIME).min(1.0);
-            self.play[i] = self.min_play[i] * (1.0 - PLAY_LOSS * direction.abs()) + uncertainty + self.excess_play[i];
+            self.excess_play[i] *= 1.0 - direction[i].abs() * (dt / SHRINK_TIME).min(1.0);
+            self.play[i] =
+                self.min_play[i] * (1.0 - PLAY_LOSS * direction[i].abs()) + uncertainty + self.excess_play[i];
             steps[i] = self.anchor[i].max(ahead[i] - self.play[i]).min(ahead[i] + self.play[i]) - self.anchor[i];
         }
         let share = self.allowed_share(&q, &steps, dt);
         for i in 0..self.n {
             self.anchor[i] += share * steps[i];
-            let direction = (self.speed[i] / FRICTION_SPEED).tanh();
-            let feed_forward = FRICTION_SHARE * self.friction[i] * direction
+            let feed_forward = FRICTION_SHARE * self.friction[i] * direction[i]
                 + DAMPING_SHARE * self.low[i] * self.damping[i] * self.speed[i];
             let goal = (self.anchor[i] + lead[i] + feed_forward)
                 .max(self.model.lower()[i] + lead[i])
