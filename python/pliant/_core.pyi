@@ -1411,7 +1411,9 @@ class Settings:
         gravity: Use the gravity model in goals and limits.
         max_tool_speed: Speed limit of `Diagnostics.reference` [m/s], or a pair [m/s, rad/s]; a
             single number implies 4 rad/s per m/s; None: no limit. A tool that friction has held
-            back can be faster by up to 0.1 m/s.
+            back can be faster by up to 0.1 m/s, along soft axes near a singular pose by more: from
+            0.08 m/s (0.3 rad/s) above the limit on, laws cap and impedance reduce the forces that
+            accelerate the tool.
         max_tool_acceleration: Acceleration limit of `Diagnostics.reference` [m/s^2], or a pair
             [m/s^2, rad/s^2]; a single number implies 4 rad/s^2 per m/s^2; None: no limit.
         accept_high_adaptation: Accept an `Axis.adaptation` above 0.95 if the servos' stiffness is

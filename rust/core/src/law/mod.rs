@@ -5,6 +5,7 @@ pub(crate) mod cap;
 pub(crate) mod friction;
 pub(crate) mod impedance;
 pub(crate) mod nullspace;
+pub(crate) mod overspeed;
 pub(crate) mod paper;
 pub(crate) mod posture_fade;
 pub(crate) mod redistribution;
@@ -14,6 +15,7 @@ pub(crate) mod wrench;
 
 use crate::law::friction::{FrictionFeedForward, FrictionGains};
 use crate::law::nullspace::NullSpace;
+use crate::law::overspeed::Overspeed;
 use crate::law::singularity::SingularityState;
 use crate::law::wrench::{Wrench, WrenchLaw};
 use crate::math::rows::{mul, tr_mul, weighted_gram};
@@ -56,7 +58,7 @@ pub(crate) struct LawInput<'a, J: JointVector> {
     pub(crate) integral: J,
 }
 
-/// Terms that give the stiff axes the velocity and the acceleration of their reference.
+/// Terms that give the stiff axes the velocity and the acceleration of their reference, and bound the tool's speed.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Pacing<W> {
     /// Displacement [m, rad] that, multiplied by the servos' stiffness along the axis, gives the force for damping and
@@ -64,6 +66,8 @@ pub(crate) struct Pacing<W> {
     pub(crate) displacement: W,
     /// Velocity of the reference [m/s, rad/s].
     pub(crate) velocity: W,
+    /// Factors on the forces that would accelerate a tool that is too fast; `None`: it is not.
+    pub(crate) overspeed: Option<Overspeed<W>>,
 }
 
 impl<W: F64x8> Pacing<W> {
@@ -84,13 +88,15 @@ impl<W: F64x8> Pacing<W> {
         let tool_velocity = W::from_axes(&mul(arm.rows, joints));
         let driven = W::from_array(&pace.inertia) * W::clamp_abs(acceleration, W::from_array(&pace.max_acceleration));
         let displacement = W::fma(W::from_array(&pace.damping), speed - tool_velocity, driven);
-        Self { displacement, velocity: speed }
+        let twist = if features.any_axes { mul(&arm.view.j_base, joints) } else { tool_velocity.to_axes() };
+        let overspeed = Overspeed::new(&pace.overspeed, &twist, tool_velocity);
+        Self { displacement, velocity: speed, overspeed }
     }
 
     /// Returns zero terms, for a reference without a velocity.
     #[inline(always)]
     pub(crate) fn zero() -> Self {
-        Self { displacement: W::splat(0.0), velocity: W::splat(0.0) }
+        Self { displacement: W::splat(0.0), velocity: W::splat(0.0), overspeed: None }
     }
 }
 

@@ -55,7 +55,13 @@ impl<J: JointVector> LawInput<'_, J> {
     /// torques, the soft, then the stiff part.
     #[inline(always)]
     pub(crate) fn joint_offsets(&self, demand: &WrenchDemand<J>) -> LawOutput<J> {
-        let (params, servos, wrench) = (self.params, &self.params.servos, &demand.wrench);
+        let (params, servos) = (self.params, &self.params.servos);
+        let mut wrench = demand.wrench;
+        if self.features.tool_speed
+            && let Some(overspeed) = &self.pacing.overspeed
+        {
+            wrench = Wrench { soft: overspeed.limit(wrench.soft), stiff: overspeed.limit(wrench.stiff) };
+        }
         let null = self.bound_null(self.null_motion(demand.null_stiffness));
         let friction = self.friction(demand.ahead);
         let (kp, compliance, torque) = (J::load(&servos.kp), J::load(&servos.compliance), J::load(&servos.torque));

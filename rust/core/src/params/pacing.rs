@@ -3,6 +3,7 @@
 use crate::math::simd::LANES;
 use crate::model::Model;
 use crate::params::joint_space::JointSpaceStats;
+use crate::params::overspeed::OverspeedParams;
 use crate::params::{AxisArray, ServoArrays, Settings};
 use crate::{AxisVec, MAX_AXES, MAX_JOINTS};
 
@@ -32,6 +33,8 @@ pub(crate) struct PacingParams {
     pub(crate) max_acceleration: AxisArray,
     /// Time constant [s] of the damper of each axis (damping divided by stiffness) at the present delay.
     pub(crate) damping: AxisArray,
+    /// Speeds of the tool from which forces are reduced.
+    pub(crate) overspeed: OverspeedParams,
     /// Part of `damping` that restores the servo damping cancelled by the feed-forward [s].
     restored: f64,
 }
@@ -58,7 +61,9 @@ impl PacingParams {
         let taken =
             if settings.law.by_force() { settings.compensation.damping * resisted / n.max(1) as f64 } else { 0.0 };
         let on = inertia.iter().any(|&t| t > 0.0);
-        let mut pace = Self { on, inertia, max_acceleration, damping: [0.0; LANES], restored: RESTORED_SHARE * taken };
+        let overspeed = OverspeedParams::new(axes, settings.max_tool_speed);
+        let restored = RESTORED_SHARE * taken;
+        let mut pace = Self { on, inertia, max_acceleration, damping: [0.0; LANES], overspeed, restored };
         pace.set_delay(settings.delay, settings);
         pace
     }

@@ -192,8 +192,9 @@ pub struct Settings {
     pub delay: f64,
     /// True to use the gravity model in goals and torque limits.
     pub gravity: bool,
-    /// Linear and angular speed limits [m/s, rad/s] of the reference that the law tracks; ∞ for no limit. For a short
-    /// time after friction has held it back, the tool may be faster.
+    /// Linear and angular speed limits [m/s, rad/s] of the reference that the law tracks; ∞ for no limit. The tool may
+    /// be faster for a short time after friction has held it back, and along soft axes near a singular pose: from 0.08
+    /// m/s (0.3 rad/s) above the limit on, laws `cap` and `impedance` reduce the forces that accelerate it.
     pub max_tool_speed: [f64; 2],
     /// Linear and angular acceleration limits [m/s², rad/s²] of the reference that the law tracks.
     pub max_tool_acceleration: [f64; 2],
