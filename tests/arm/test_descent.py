@@ -218,6 +218,29 @@ def test_the_estimate_after_a_silence_is_that_of_an_arm_that_was_held(
     assert errors[0] < bound  # [rad/s]
 
 
+def test_an_arm_whose_shoulder_is_silent_is_not_dropped():
+    """The servo gets goals. Without a descent by the model the tool falls at 0.30 m/s."""
+
+    class SilentDrive(descent.SimDrive):
+        is_silent = False
+
+        def read(self):
+            sample = super().read()
+            return sample.replace(ok=np.arange(sample.ok.size) != 1) if self.is_silent else sample
+
+    q, truth = descent.random_parameters(descent.robot("so101"), 8, seed=5)[7]
+    truth = replace(truth, stiffness=(1.0,) * 5, friction=1.0, load=0.0)
+    job = descent.Job(arm="so101", number=7, over_table=False, q=tuple(q), truth=truth)
+    with descent.simulated_arm(job, SilentDrive) as (arm, recorder):
+        arm.enable()
+        arm.drive.is_silent = True
+        recorder.begin()
+        arm.lower()
+        arm.clock.wait_until(arm.clock.now() + 1.0)
+    assert recorder.seen.speed < 0.2
+    assert recorder.seen.rise < 0.005
+
+
 @pytest.mark.parametrize("arm", ["so101", "koch"])
 def test_an_arm_let_go_on_a_slow_line_does_not_sink(arm):
     # Each reply takes 4 ms longer. Without leads in the first goals, the tool of the SO-101 would

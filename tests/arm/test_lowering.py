@@ -182,6 +182,83 @@ def test_a_joint_that_is_lost_keeps_its_goal_while_the_others_go_down(model, gra
     assert np.ptp(goals[25:, 0]) > 0.0
 
 
+#: A posture of so101 and koch that leans forward, its elbow above the shoulder.
+LEANING = np.array([0.0, 0.5, -0.5, 0.5, 0.0])
+
+
+def descend_with_a_silent_joint(model, silent, receives, answers_after=None):
+    """Lower an arm of ideal servos; return the descent, and commands and true positions per tick.
+
+    The servo `silent` has no position; `receives` says whether it gets the goals. It answers again
+    `answers_after` ticks after its joint has begun to descend by the model.
+    """
+    kp, q = np.asarray(model.servos.kp), LEANING
+    in_servos = q + model.gravity(q) / kp
+    lowering = Lowering(model, model.servos, q, goal=in_servos)
+    commands, path, fresh, modelled = [], [q], np.arange(model.n) != silent, 0
+    while len(path) < 3000:
+        command = lowering.step(np.where(fresh, q, 9.0), fresh, dt=0.02)
+        if command is None:
+            break
+        in_servos = np.where(fresh | receives, command.goal, in_servos)
+        q = np.clip(in_servos - model.gravity(q) / kp, model.lower, model.upper)
+        commands.append(command)
+        path.append(q)
+        modelled += np.isfinite(command.speed_limit[silent])
+        if answers_after is not None and modelled >= answers_after:
+            fresh[:] = True
+    return lowering, commands, np.array(path)
+
+
+def largest_rise(model, path):
+    """Return the largest height [m] by which the tool rises on its way."""
+    heights = np.array([model.forward_kinematics(q)[2, 3] for q in path])
+    return np.max(heights - np.minimum.accumulate(heights))
+
+
+@pytest.mark.parametrize("silent", [1, 2])
+@pytest.mark.parametrize("name", ["so101", "koch"])
+def test_a_joint_without_positions_goes_down_after_the_others(name, silent):
+    """Its limit fell to zero while it carried a weight, and the arm fell at up to 2 m/s."""
+    model = robots.load(name)
+    friction = np.asarray(model.servos.friction)
+    assert abs(model.gravity(LEANING)[silent]) > 4.0 * friction[silent]
+    lowering, commands, path = descend_with_a_silent_joint(model, silent, receives=True)
+    assert lowering.phase == "done"
+    for command, q in zip(commands, path, strict=False):
+        weight, stands = abs(model.gravity(q)[silent]), q[silent] >= model.upper[silent]
+        assert command.torque_limit[silent] > weight or weight < 1.6 * friction[silent] or stands
+    others_move = [command.goal[silent] for command in commands[25:60]]
+    assert np.ptp(others_move) == 0.0
+    assert model.forward_kinematics(path[-1])[2, 3] < model.forward_kinematics(LEANING)[2, 3] - 0.1
+    assert largest_rise(model, path) < 0.005
+
+
+@pytest.mark.parametrize("silent", [1, 2])
+@pytest.mark.parametrize("name", ["so101", "koch"])
+def test_a_joint_without_positions_that_gets_no_goals_lifts_nothing(name, silent):
+    model = robots.load(name)
+    lowering, _, path = descend_with_a_silent_joint(model, silent, receives=False)
+    assert lowering.phase == "done"
+    assert np.ptp(path[:, silent]) < 0.1
+    assert largest_rise(model, path) < 0.005
+
+
+@pytest.mark.parametrize("answers_after", [1, 50, 100])
+@pytest.mark.parametrize("receives", [True, False])
+def test_a_joint_whose_positions_return_descends_from_where_it_is(receives, answers_after):
+    model = robots.load("so101")
+    kp = np.asarray(model.servos.kp)
+    lowering, commands, path = descend_with_a_silent_joint(model, 1, receives, answers_after)
+    assert lowering.phase == "done"
+    begun = [np.isfinite(command.speed_limit[1]) for command in commands].index(True)
+    back = begun + answers_after  # the first command with positions of all joints
+    assert np.isinf(commands[back].speed_limit[1])
+    lead = commands[back].goal[1] - path[back][1]
+    assert abs(lead - model.gravity(path[back])[1] / kp[1]) < 0.02
+    assert largest_rise(model, path) < 0.005
+
+
 def test_limits_carry_the_weight_until_the_arm_is_still(model, grasp):
     _, orders = descend(model, grasp, lambda tick: grasp, ticks=40)
     for phase, _, limit in orders:

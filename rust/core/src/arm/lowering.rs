@@ -17,7 +17,9 @@
 //! In the end the torque limits fall to zero. They rise again while the arm slides, and torque may be switched off only
 //! after the arm has stood still with limits of zero.
 //!
-//! If positions no longer arrive, positions computed with the model of the arm replace them.
+//! If positions no longer arrive, positions computed with the model of the arm replace them. A joint that alone has none
+//! keeps its goal until the others have come to rest. Then it descends by the model, because its limit may not fall to
+//! zero while it carries a load.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -256,8 +258,10 @@ pub struct Lowering {
     rest_start: JointVec,
     phase: LoweringPhase,
     blind: bool,
-    /// True for a joint that has had no position since the goals were last computed without positions.
+    /// True for a joint that has had no position since its goals were last computed without positions.
     behind: [bool; MAX_JOINTS],
+    /// True for a joint without positions that descends by the model after the others have come to rest.
+    modelled: [bool; MAX_JOINTS],
     q: JointVec,
     /// Time since the last position of each joint [s].
     silence: JointVec,
@@ -270,7 +274,7 @@ pub struct Lowering {
     lead_size: JointVec,
     /// Smallest recent |lead| [rad]; it rises with |lead|, of which it is at most two [`SINKING`] short.
     least_lead: JointVec,
-    /// Measured minus modelled lead [rad]; added to the modelled lead while no positions arrive.
+    /// Last measured minus modelled lead [rad]; added to the modelled lead while no positions arrive.
     unmodelled_lead: JointVec,
     /// Filtered lead with which a joint last moved freely toward the rest pose [rad]; its push is the lead beyond.
     free_lead: JointVec,
@@ -355,6 +359,7 @@ impl Lowering {
             phase: if rest_q.is_some() { LoweringPhase::Rest } else { LoweringPhase::Down },
             blind: false,
             behind: [false; MAX_JOINTS],
+            modelled: [false; MAX_JOINTS],
             q,
             silence: [0.0; MAX_JOINTS],
             goal: q,
@@ -457,7 +462,8 @@ impl Lowering {
             self.goal[i] = goal[i];
             self.torque_limit[i] = torque_limit[i].clamp(0.0, self.max_torque[i]);
             self.holding_torque[i] = f64::INFINITY;
-            (self.silence[i], self.behind[i], self.extra_push[i]) = (0.0, false, 0.0);
+            (self.silence[i], self.extra_push[i]) = (0.0, 0.0);
+            (self.behind[i], self.modelled[i]) = (false, false);
         }
         let phase = if self.phase == LoweringPhase::Rest { LoweringPhase::Rest } else { LoweringPhase::Down };
         let gravity = self.gravity();
@@ -520,7 +526,8 @@ impl Lowering {
             for i in (0..self.n).filter(|i| good[*i]) {
                 self.lead[i] = goal[i] - self.q[i];
             }
-            self.advance(dt, &self.silence.map(|silence| silence > MAX_SILENCE), &mut speed_limit);
+            let lost = std::array::from_fn(|i| self.silence[i] > MAX_SILENCE && !self.modelled[i]);
+            self.advance(dt, &lost, &mut speed_limit);
         } else if self.silence[..self.n].iter().all(|silence| *silence > MAX_SILENCE) {
             self.go_blind();
             self.advance(dt, &good, &mut speed_limit);
@@ -546,6 +553,9 @@ impl Lowering {
     fn advance(&mut self, dt: f64, lost: &[bool; MAX_JOINTS], speed_limit: &mut JointVec) {
         let (here, gravity) = (self.points.evaluate(&self.q), self.gravity());
         let dt = dt.min(MAX_MOTION_TIME);
+        for i in (0..self.n).filter(|i| self.silence[*i] == 0.0) {
+            self.unmodelled_lead[i] = self.lead[i] - gravity[i] / self.kp[i];
+        }
         let elapsed = std::mem::take(&mut self.waited);
         self.positions.push(self.time, &self.q);
         self.positions.drop_before(self.time - SPEED_WINDOW, 2);
@@ -586,16 +596,14 @@ impl Lowering {
                 self.limit_lead(dt, &gravity, &u);
             }
             self.update_limit(dt, &gravity);
-            self.change_phase(elapsed, &here, &gravity, &idle, fastest);
+            self.change_phase(elapsed, &here, &gravity, lost, &idle, fastest);
         }
-        if self.blind {
-            self.follow_model(&gravity);
-            for i in 0..self.n {
+        for i in 0..self.n {
+            if self.blind || self.modelled[i] {
+                self.follow_model(i, gravity[i]);
                 let rate = if dt > 0.0 { (self.goal[i] - before[i]).abs() / dt } else { 0.0 };
                 speed_limit[i] = (1.25 * rate).max(MIN_SPEED_LIMIT);
-            }
-        } else {
-            for i in (0..self.n).filter(|i| self.behind[*i]) {
+            } else if self.behind[i] {
                 speed_limit[i] = MIN_SPEED_LIMIT;
             }
         }
@@ -614,9 +622,11 @@ impl Lowering {
     /// Returns lead − ℓ* [rad], with ℓ* the lead of a joint that presses lightly downward; ℓ* = 0 without press.
     fn excess_lead(&self, here: &ArmGeometry, gravity: &JointVec) -> JointVec {
         let (lever, speed) = (here.lowest_lever(&self.up), self.joint_velocities());
+        // If the servo of a joint without positions gets no goals either, the weight of the others is not the model's.
+        let only_modelled = self.modelled.contains(&true);
         std::array::from_fn(|i| {
             let mut press = 0.0;
-            if self.presses {
+            if self.presses && (self.modelled[i] || !only_modelled) {
                 press = (PRESS_RATIO * self.friction[i]).min(MAX_PRESS_FORCE * lever[i]);
                 // Add the torque that damping absorbs: it does not press on an object.
                 press += self.damping[i] * (-sign(gravity[i]) * speed[i]).max(0.0);
@@ -729,12 +739,13 @@ impl Lowering {
         let mut rise = here.tool_rise(&self.up);
         for i in 0..self.n {
             // A joint that presses on an object does not lift the tool when it presses less.
-            if !self.blind && presses[i] && u[i] * gravity[i] > 0.0 {
+            if !self.blind && !self.modelled[i] && presses[i] && u[i] * gravity[i] > 0.0 {
                 rise[i] = 0.0;
             }
         }
         // The depth of the tool in the model may be one that an object keeps it from.
-        let depth = if self.blind { 0.0 } else { self.start_height - here.tool_height(&self.up) };
+        let is_measured = !self.blind && !self.modelled.contains(&true);
+        let depth = if is_measured { self.start_height - here.tool_height(&self.up) } else { 0.0 };
         let max_climb = (RISE_RATE * depth).max(0.0);
         let climb = dot(&rise, u) - max_climb;
         if climb <= 0.0 {
@@ -841,6 +852,7 @@ impl Lowering {
         dt: f64,
         here: &ArmGeometry,
         gravity: &JointVec,
+        lost: &[bool; MAX_JOINTS],
         idle: &[bool; MAX_JOINTS],
         fastest: f64,
     ) {
@@ -860,7 +872,11 @@ impl Lowering {
         let calm = if self.presses { self.demand < 0.5 && fastest < SLIDING } else { fastest < STILL };
         self.rest_time = (self.rest_time + if light && calm { dt } else { -dt }).max(0.0);
         if self.is_late() || (self.rest_time > SETTLING_TIME && !self.presses) {
-            self.enter(LoweringPhase::Ramp);
+            if !self.blind && lost.contains(&true) {
+                self.model_lost(lost);
+            } else {
+                self.enter(LoweringPhase::Ramp);
+            }
         } else if self.rest_time > SETTLING_TIME {
             // Stop pressing and check again with a smaller speed limit: the press itself may have moved the arm.
             (self.presses, self.rest_time) = (false, 0.0);
@@ -897,7 +913,8 @@ impl Lowering {
             self.enter(LoweringPhase::Down);
             return;
         }
-        let duration = if self.blind || lost.contains(&true) { BLIND_RAMP_TIME } else { RAMP_TIME };
+        let is_measured = !self.blind && !self.modelled.contains(&true) && !lost.contains(&true);
+        let duration = if is_measured { RAMP_TIME } else { BLIND_RAMP_TIME };
         // Limits rise again while the arm slides faster than `SLIDING`: they brake it.
         let pace = if late { 1.0 } else { ((SLIDING - fastest) / (SLIDING - STILL)).clamp(-3.0, 1.0) };
         let least = if fastest < STILL || late { 0.0 } else { LAST_SHARE.min(self.ramp) };
@@ -955,18 +972,25 @@ impl Lowering {
     fn go_blind(&mut self) {
         if !self.blind {
             self.blind = true;
-            self.behind = [true; MAX_JOINTS];
-            let gravity = self.gravity();
-            self.unmodelled_lead = std::array::from_fn(|i| self.goal[i] - self.q[i] - gravity[i] / self.kp[i]);
+            (self.behind, self.modelled) = ([true; MAX_JOINTS], [false; MAX_JOINTS]);
         }
     }
 
-    /// Sets the positions to those at which the modelled servos hold the arm with the present goals.
-    fn follow_model(&mut self, gravity: &JointVec) {
-        for i in 0..self.n {
-            self.lead[i] = gravity[i] / self.kp[i] + self.unmodelled_lead[i];
-            self.q[i] = (self.goal[i] - self.lead[i]).max(self.lower[i]).min(self.upper[i]);
+    /// Lets the `lost` joints descend by the model; the others have come to rest.
+    fn model_lost(&mut self, lost: &[bool; MAX_JOINTS]) {
+        for i in (0..self.n).filter(|i| lost[*i]) {
+            (self.modelled[i], self.behind[i]) = (true, true);
         }
+        (self.compared, self.has_stopped) = ((self.time, self.q), false);
+        self.presses = true;
+        self.enter(LoweringPhase::Down);
+    }
+
+    /// Sets the position of joint i to the one at which the modelled servo holds the torque `gravity` [N·m] with its
+    /// present goal.
+    fn follow_model(&mut self, i: usize, gravity: f64) {
+        self.lead[i] = gravity / self.kp[i] + self.unmodelled_lead[i];
+        self.q[i] = (self.goal[i] - self.lead[i]).max(self.lower[i]).min(self.upper[i]);
     }
 
     /// Returns to measured positions after [`Self::go_blind`]; moves the goal of each joint that has one again to its
@@ -977,6 +1001,9 @@ impl Lowering {
             return;
         }
         self.blind = false;
+        for (modelled, good) in self.modelled.iter_mut().zip(good) {
+            *modelled &= !good;
+        }
         self.positions.restart(self.time, &self.q);
         let gravity = self.gravity();
         for i in (0..self.n).filter(|i| back[*i]) {
