@@ -11,7 +11,7 @@ from pliant.emulator import Emulator, ManualClock
 from pliant.servo import BusError, ServoBus, ServoSpec, get_model
 from pliant.servo._device import TRIPPED, Device
 from pliant.servo._port import Port, StatusPoller
-from tests.servo.conftest import devices
+from tests.servo.conftest import JOINTS, devices
 
 PROTOCOLS = ["sts", "xm", "mx"]
 
@@ -251,6 +251,38 @@ def test_an_overload_that_leaves_the_torque_on_is_no_fault(emulated, enabled, ki
         assert servo_bus.enabled.all()
         bus.servo(1).temperature = 100.0
         assert any("joint0: too hot" in text for text in faults())
+
+
+@pytest.mark.parametrize("trips", [(1, 2), (2, 1), (1,), (2,)])
+@pytest.mark.parametrize("kind", ["xm", "mx"])
+def test_overloads_of_both_servos_of_a_joint_are_no_fault(emulated, enabled, kind, trips):
+    """They share the load, so both report an overload before the cause of the first is read."""
+    with Emulator(devices(kind, 2), clock="steps") as bus:
+        for id in (1, 2):
+            bus.servo(id).put("shutdown", bus.servo(id).get("shutdown") & ~0x20)
+        spec = ServoSpec(
+            name="lift",
+            model=JOINTS[kind][1],
+            id=1,
+            port=bus.port,
+            secondary=(2, 1),
+            lower=-1.0,
+            upper=1.0,
+        )
+        with ServoBus([spec], reply_timeout_min=0.1, clock=ManualClock(bus)) as servo_bus:
+            limit, found = enabled(servo_bus), []
+            for tick in range(40):
+                servo_bus.read()
+                servo_bus.write([0.0], limit)
+                found += getattr(servo_bus.poll_status(), "faults", ())
+                bus.advance(0.01)
+                if tick == 10:
+                    for id in trips:
+                        bus.trip(id, "overload")
+                if tick == 30:
+                    assert not found
+                    bus.servo(trips[0]).temperature = 100.0
+            assert any("lift" in text and "too hot" in text for text in found)
 
 
 def test_protocol_1_has_no_reboot(emulated):

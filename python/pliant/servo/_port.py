@@ -710,7 +710,14 @@ class StatusPoller:
         except BusError as error:
             error.raise_if_gone()
             return None
-        return self._status_of(device.joint)
+        status = self._status_of(device.joint)
+        return None if self._is_undecided(device.joint) else status
+
+    def _is_undecided(self, joint: int) -> bool:
+        """Return True if a servo of the joint has an alert whose cause has not been read yet."""
+        return bool(self._doubtful) and any(
+            device.conditions and id(device) not in self._reported for device in self._joints[joint]
+        )
 
     def start_usual_polls(self, bus: BusCycle) -> None:
         """Let `bus` return the statuses of the joints while there are no changes, if it can."""
