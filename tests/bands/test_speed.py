@@ -70,7 +70,7 @@ def leave_stretched_pose(settings, target, duration):
 @pytest.mark.parametrize("soft", ["x", "x y"])
 @pytest.mark.parametrize("pose", range(len(BENT)))
 def test_soft_axes_do_not_let_the_tool_fly_as_the_arm_leaves_a_singular_pose(pose, soft, law):
-    """The elbow bends much for the first millimetres of z. Without the reduction: 0.9 to 1.1 m/s."""
+    """The elbow bends much for the first millimetres of z: 0.9 to 1.1 m/s without a reduction."""
     target = robots.arm7().forward_kinematics(BENT[pose])
     settings = pliant.Settings.soft(soft, task="xyz", max_tool_speed=LIMIT).replace(law=law)
     assert leave_stretched_pose(settings, target, 4.0)[0] < FORCELESS + BRAKING

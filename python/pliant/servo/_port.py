@@ -711,7 +711,7 @@ class StatusPoller:
             error.raise_if_gone()
             return None
         status = self._status_of(device.joint)
-        return None if self._is_undecided(device.joint) else status
+        return status if device.faults or not self._is_undecided(device.joint) else None
 
     def _is_undecided(self, joint: int) -> bool:
         """Return True if a servo of the joint has an alert whose cause has not been read yet."""

@@ -74,12 +74,15 @@ mod tests {
 
     #[test]
     fn only_forces_that_accelerate_a_tool_beyond_its_speed_limit_are_reduced() {
-        let all = [[10.0; 3], [-10.0; 3]];
-        assert_eq!(limited([0.3, 0.1, 0.0]), all, "below 0.33 m/s");
-        let [plus, minus] = limited([0.37, 0.0, 0.0]);
-        assert!((plus[0] - 5.0).abs() < 1e-9 && plus[1..] == [10.0; 2] && minus == [-10.0; 3], "{plus:?}");
-        let [plus, minus] = limited([-0.45, 0.1, 0.0]);
-        assert_eq!((plus, minus), ([10.0, 0.0, 10.0], [0.0, -10.0, -10.0]), "above 0.41 m/s");
+        let expect = |velocity, plus: [f64; 3], minus: [f64; 3]| {
+            for (limited, expected) in limited(velocity).into_iter().flatten().zip([plus, minus].into_iter().flatten())
+            {
+                assert!((limited - expected).abs() < 1e-9, "{velocity:?}: {limited} instead of {expected} N");
+            }
+        };
+        expect([0.3, 0.1, 0.0], [10.0; 3], [-10.0; 3]);
+        expect([0.37, 0.0, 0.0], [5.0, 10.0, 10.0], [-10.0; 3]);
+        expect([-0.45, 0.1, 0.0], [10.0, 0.0, 10.0], [0.0, -10.0, -10.0]);
     }
 
     #[test]
@@ -96,6 +99,6 @@ mod tests {
             let one = Axes::splat(1.0);
             Overspeed::new(&params, &twist, one).map_or(one, |o| o.limit(one)).to_axes()[0]
         };
-        assert_eq!([factor(&[0, 1, 2]), factor(&[0, 5])], [1.0, 0.0]);
+        assert!(factor(&[0, 1, 2]) > 0.999 && factor(&[0, 5]) < 1e-9);
     }
 }
