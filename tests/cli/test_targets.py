@@ -138,6 +138,34 @@ def test_of_many_lines_the_newest_counts(pipe):
     assert source.latest() is None
 
 
+def check_mixed(source, capsys):
+    """Check a source that got, between two ticks, three invalid targets and one valid one."""
+    assert source.latest() == TARGET
+    assert source.latest() is None
+    source.__exit__()
+    first, rest = capsys.readouterr().err.splitlines()
+    assert first.startswith("target refused: target 'nonsense' is not JSON")
+    assert rest == "2 more targets were refused"
+
+
+MIXED = (b"nonsense\n", b'{"q": [0]}\n', TARGET_LINE, b'{"position": [200, 0, 200]}\n')
+
+
+def test_an_invalid_line_does_not_hide_a_valid_one_before_it(pipe, capsys):
+    source, write, _ = pipe
+    write(b"".join(MIXED))
+    check_mixed(source, capsys)
+
+
+def test_an_invalid_datagram_does_not_hide_a_valid_one_before_it(capsys):
+    source = open_targets(f"udp:{PORT + 2}", MODEL)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        for line in MIXED:
+            sender.sendto(line, ("127.0.0.1", PORT + 2))
+    time.sleep(0.1)
+    check_mixed(source, capsys)
+
+
 def test_refusals_are_reported_a_few_times_per_second(pipe, capsys):
     source, write, _ = pipe
     for _ in range(6):

@@ -22,6 +22,8 @@ from pliant._files import LARGE, read_text
 from pliant._refusals import Refusals
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from pliant._core import Model
     from pliant._typing import Array
 
@@ -133,6 +135,9 @@ READ_PAUSE = 0.001
 MANY_TARGETS = 50_000
 #: Maximum number of datagrams read per control cycle.
 MAX_DATAGRAMS = 256
+#: Maximum number of lines or datagrams checked per control cycle, the newest; a check takes up to
+#: 0.3 ms, usually 0.02 ms.
+MAX_CHECKED = 32
 
 
 class Targets(Protocol):
@@ -218,13 +223,21 @@ class TargetParser:
             self._refusals.report(error)
             return None
 
+    def newest(self, lines: Iterable[bytes], model: Model) -> Target | None:
+        """Return the newest valid target of `lines`, oldest first; None if there is none.
+
+        All lines are parsed, so that also invalid ones before a valid one are reported.
+        """
+        targets = [self.parse(line, model) for line in lines]
+        return next((target for target in reversed(targets) if target is not None), None)
+
     def close(self) -> None:
         """Print the number of invalid targets whose errors the rate limit has suppressed."""
         self._refusals.close()
 
 
 class StreamTargets(NoTargets):
-    """Targets read from a pipe, such as standard input; a thread keeps the newest line.
+    """Targets read from a pipe, such as standard input; a thread keeps the newest lines.
 
     Args:
         pipe: File descriptor. It is read without Python's buffered reader, whose lock would be held
@@ -235,7 +248,7 @@ class StreamTargets(NoTargets):
     def __init__(self, pipe: int, model: Model) -> None:
         self._model = model
         self._parser = TargetParser()
-        self._newest: deque[bytes] = deque(maxlen=1)
+        self._newest: deque[bytes] = deque(maxlen=MAX_CHECKED)
         self._ended = False
         threading.Thread(
             target=self._read, args=(pipe,), daemon=True, name="pliant-targets"
@@ -259,9 +272,11 @@ class StreamTargets(NoTargets):
             self._ended = True
 
     def latest(self) -> Target | None:
-        """Return the newest target; None if it is invalid or there is no new one."""
+        """Return the newest valid target; None if there is no new one."""
         self.done = self._ended  # read before the queue, so that the last line is not lost
-        return self._parser.parse(self._newest.pop(), self._model) if self._newest else None
+        # The thread appends meanwhile: a count taken once bounds the lines of this cycle.
+        lines = [self._newest.popleft() for _ in range(len(self._newest))]
+        return self._parser.newest(lines, self._model)
 
     def __exit__(self, *_: object) -> None:
         self._parser.close()
@@ -282,12 +297,13 @@ class UdpTargets(NoTargets):
             raise ConfigError(f"cannot listen on UDP port {port}: {error}") from error
 
     def latest(self) -> Target | None:
-        """Return the newest target; None if it is invalid or there is no new one."""
-        newest = b""
+        """Return the newest valid target; None if there is no new one."""
+        newest: deque[bytes] = deque(maxlen=MAX_CHECKED)
         with suppress(BlockingIOError):
             for _ in range(MAX_DATAGRAMS):
-                newest = self._socket.recv(MAX_LINE + 1)
-        return self._parser.parse(newest, self._model) if newest.strip() else None
+                if (datagram := self._socket.recv(MAX_LINE + 1)).strip():
+                    newest.append(datagram)
+        return self._parser.newest(newest, self._model)
 
     def __exit__(self, *_: object) -> None:
         self._socket.close()
