@@ -47,6 +47,30 @@ def test_a_urdf_with_masses_in_grams_is_not_ready(factor, is_bad, tmp_path):
     )
 
 
+def test_joints_without_position_limits_are_noted(tmp_path, monkeypatch):
+    """Each of the two remedies of the note ends it for the joint that gets it."""
+    from importlib.resources import files
+
+    monkeypatch.setattr("pliant.config.doctor.CLOCK_TEST_TIME", 0.01)
+    text = files("pliant.robots").joinpath("so101_like.urdf").read_text("utf-8")
+    endless = text.replace('type="revolute"', 'type="continuous"')
+    (tmp_path / "arm.urdf").write_text(endless.replace("elbow_flex", "elbow flex"), "utf-8")
+    arm = so101_of("arm.urdf").replace("elbow_flex", '"elbow flex"')
+    note = findings(arm, tmp_path, "note")["limits"]
+    assert note.startswith("shoulder_pan, shoulder_lift, elbow flex, wrist_flex, wrist_roll: no ")
+    assert "`limits = { shoulder_pan = [LOWER, UPPER] }` [rad] in [robot]" in note
+    one = "limits = { shoulder_pan = [-1.5, 1.5] }"
+    arm = arm.replace("[servo]", f"{one}\n[servo]").replace(
+        "id = 2", "id = 2, lower = -1, upper = 1"
+    )
+    note = findings(arm, tmp_path, "note")["limits"]
+    assert note.startswith("elbow flex, wrist_flex, wrist_roll: no position limits")
+    assert '`limits = { "elbow flex" = [LOWER, UPPER] }`' in note
+    every = '"elbow flex" = [-1, 1], wrist_flex = [-1, 1], wrist_roll = [-2, 2]'
+    arm = arm.replace("1.5] }", f"1.5], {every} }}")
+    assert "limits" not in findings(arm, tmp_path, "note")
+
+
 def test_a_rest_pose_inside_the_table_is_bad(tmp_path):
     text = so101_of("arm.urdf").replace(
         'urdf = "arm.urdf"\nbase = "base"\ntip = "tool"', 'builtin = "so101"\ntable = 0.0'

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
+import re
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -98,7 +100,7 @@ def examine(config: Config) -> Iterator[Diagnosis]:
 
 
 def _model(config: Config, model: Model) -> Iterator[Diagnosis]:
-    """Check the rest pose, the settings and the weight of the arm; report a missing calibration."""
+    """Check the rest pose, limits, settings and weight of the arm; report a missing calibration."""
     rest = config.life.rest_q
     if rest is None:
         yield Diagnosis(
@@ -113,6 +115,7 @@ def _model(config: Config, model: Model) -> Iterator[Diagnosis]:
             check_rest(model, ArmPoints(model), pose, config.robot.table)
         except PliantError as error:
             yield Diagnosis("bad", "rest pose", str(error))
+    yield from _limits(model)
     if config.servo:
         yield from _controllable(config, model)
     if config.calibration is None and all(s.zero is None for s in config.servo.values()):
@@ -121,6 +124,23 @@ def _model(config: Config, model: Model) -> Iterator[Diagnosis]:
             "calibration",
             "every servo's middle counts as its joint's zero; name LeRobot's file in "
             "`calibration`, or give each servo its `zero`",
+        )
+
+
+def _limits(model: Model) -> Iterator[Diagnosis]:
+    """Report joints without position limits, as `continuous` joints of a URDF are."""
+    is_bounded = np.isfinite(model.lower) & np.isfinite(model.upper)
+    names = [model.joint_names[i] for i in np.flatnonzero(~is_bounded)]
+    if names:
+        # A name with a space or another special character is in quotes in TOML.
+        key = names[0] if re.fullmatch(r"[\w-]+", names[0], re.ASCII) else json.dumps(names[0])
+        yield Diagnosis(
+            "note",
+            "limits",
+            f"{', '.join(names)}: no position limits, so the controller and a check before torque "
+            "comes on accept every position, also where the arm meets itself or pulls its cables. "
+            f"Give `limits = {{ {key} = [LOWER, UPPER] }}` [rad] in [robot], or both `lower` and "
+            "`upper` [rad] of the servo",
         )
 
 
