@@ -47,6 +47,20 @@ def test_a_urdf_with_masses_in_grams_is_not_ready(factor, is_bad, tmp_path):
     )
 
 
+@pytest.mark.parametrize("payload", ["mass = 150", "mass = 0.15, com = [0, 0, 30]"])
+def test_a_payload_in_grams_or_millimetres_is_named(payload, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("pliant.config.doctor.CLOCK_TEST_TIME", 0.01)
+    text = config.loader.builtin_text("so101")
+    text = text.replace("[robot]", f"[robot]\npayload = {{ {payload} }}")
+    file = tmp_path / "arm.toml"
+    file.write_text(text)
+    message = findings(f'backend = "sim"\n{text}', tmp_path)["model"]
+    assert re.search(r"shoulder_lift needs up to \d+(\.\d)? N·m, its servo has 1\.91 N·m", message)
+    assert "Check mass [kg] and com [m] of the payload" in message
+    assert main(["run", str(file), "--backend", "sim", "--quiet", "--duration", "0.1"]) == 2
+    assert capsys.readouterr().err == f"error: {message}\n"
+
+
 def test_joints_without_position_limits_are_noted(tmp_path, monkeypatch):
     """Each of the two remedies of the note ends it for the joint that gets it."""
     from importlib.resources import files

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike
 
-    from pliant._core import ArmPoints, Joint, Model
+    from pliant._core import ArmPoints, Joint, Model, PliantError, Servos
     from pliant._typing import Array
 
 
@@ -35,6 +35,14 @@ MAX_TABLE_HEIGHT = 100.0
 #: A command of a loop is rejected if its tick began longer ago than both this many periods and this
 #: time [s].
 STALE_PERIODS, STALE = 5.0, 0.1
+#: Remedy if joints cannot hold the weight of the model.
+CHECK_WEIGHT = (
+    "Check mass [kg] and com [m] of the payload, which is [robot] payload or an argument of "
+    "Model.from_urdf, the masses of the URDF [kg], and the servo models with their Max Torque, "
+    "Current or PWM Limit"
+)
+#: Number of poses among which `explain_payload` looks for the largest gravity torques.
+WEIGHT_POSES = 512
 #: Largest differences in a joint's position [m] and orientation [rad] between two models of the
 #: same robot, for example one from drawings and one that was measured.
 MAX_SHIFT, MAX_TURN = 0.005, 0.05
@@ -150,6 +158,32 @@ def posture(model: Model, value: ArrayLike, name: str) -> Array:
             + (": are these degrees?" if abs(q) > 2.0 * np.pi else "")
         )
     return np.clip(pose, model.lower, model.upper)
+
+
+def explain_payload(error: PliantError, model: Model, servos: Servos | None) -> str | None:
+    """Return the cause of an error of `Controller` if it is a payload that is too heavy, else None.
+
+    With a payload in grams or millimetres no force is left for the task. The core then names the
+    first axis without a default strength, which is neither the cause nor the place of the mistake.
+    """
+    payload = model.payload
+    if servos is None or payload is None or "no default strength" not in str(error):
+        return None
+    lower = np.where(np.isfinite(model.lower), model.lower, -np.pi)
+    upper = np.where(np.isfinite(model.upper), model.upper, np.pi)
+    poses = np.random.default_rng(0).uniform(lower, upper, (WEIGHT_POSES, model.n))
+    weight = np.abs(model.gravity_batch(poses)).max(axis=0)
+    usable = np.asarray(servos.max_torque)
+    found = [
+        f"{model.joint_names[i]} needs up to {weight[i]:.3g} N·m, its servo has {usable[i]:.3g} N·m"
+        for i in np.flatnonzero(weight > usable)
+    ]
+    if not found:
+        return None
+    return (
+        f"to hold its weight with the payload of {payload.mass:g} kg {'; '.join(found)}: no force "
+        f"is left for the task in most poses. {CHECK_WEIGHT}"
+    )
 
 
 def outside(model: Model, q: Array) -> Iterator[tuple[str, float, float, float]]:

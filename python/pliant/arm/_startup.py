@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pliant._core import SUPPORT, ServoError, ServoTimeoutError
-from pliant.arm._checks import longest_command_age, outside
+from pliant.arm._checks import CHECK_WEIGHT, longest_command_age, outside
 
 if TYPE_CHECKING:
     from pliant._core import ArmPoints
@@ -154,10 +154,8 @@ def check_weight(io: ArmIO, on: Mask) -> None:
     ]
     if found:
         raise ServoError(
-            f"to hold its weight in this pose {'; '.join(found)}: torque stays off. Check mass "
-            "[kg] and com [m] of the payload, which is [robot] payload or an argument of "
-            "Model.from_urdf, the masses of the URDF [kg], and the servo models with their Max "
-            "Torque, Current or PWM Limit; or move the arm by hand into a pose that needs less"
+            f"to hold its weight in this pose {'; '.join(found)}: torque stays off. "
+            f"{CHECK_WEIGHT}; or move the arm by hand into a pose that needs less"
         )
 
 
