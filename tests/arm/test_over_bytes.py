@@ -605,3 +605,40 @@ def test_joints_that_servos_do_not_carry_are_named(counts, is_told, monkeypatch)
         assert bool(told) is is_told
         arm.disable_torque()
         arm.close()
+
+
+@pytest.mark.parametrize("answers", [True, False])
+def test_a_servo_silent_during_torque_off_is_asked_again_at_close(answers, monkeypatch, caplog):
+    with arm_over_bytes("sts", LOW, patience=0.01, guardian=False) as (bus, arm):
+        arm.open()
+        servo, names = bus.servo(3), ("torque_limit", "goal_velocity", "torque_enable")
+        before = [servo.get(name) for name in names]
+        arm.enable()
+        disable = arm.drive.disable
+
+        def disable_silently(*arguments):
+            for kind in ("deaf", "lose"):
+                bus.faults.inject(kind, id=3, count=10**6)
+            disable(*arguments)
+
+        monkeypatch.setattr(arm.drive, "disable", disable_silently)
+        with (
+            caplog.at_level("WARNING", logger="pliant.arm"),
+            pytest.raises(pliant.ServoError, match="elbow_flex did not confirm torque_enable"),
+        ):
+            arm.lower()
+        assert servo.enabled
+        if answers:
+            bus.faults.clear()
+        requests = len(bus.log)
+        with caplog.at_level("WARNING", logger="pliant.arm"):
+            arm.close()
+            MESSAGES.flush(5.0)
+        is_told = "speeds of elbow_flex could not be restored" in caplog.text
+        assert is_told is not answers
+        if answers:
+            assert [servo.get(name) for name in names] == before
+            assert not (arm.drive.torque_unknown | arm.drive.unrestored).any()
+        else:
+            # One read, and its retries within a few periods.
+            assert 0 < len(bus.log) - requests < 10

@@ -372,6 +372,8 @@ class Arm:
             if self._opened:
                 self._opened = False
                 self.drive.close()
+                if self._guardian is None:  # a guardian asks these joints again
+                    self._report_unconfirmed()
             if self._guardian is not None:
                 self._guardian.close(hand_over=self._is_unfinished)
                 self._guardian, self._is_unfinished = None, False
@@ -499,6 +501,13 @@ class Arm:
         unrestored = self._joints_where("unrestored", False)
         if names := [name for name in unrestored if name not in unknown]:
             messages.unrestored(names)
+
+    def _report_unconfirmed(self) -> None:
+        """Name the joints whose torque off and registers the drive could not confirm at its end."""
+        unrestored = self._joints_where("unrestored", False)
+        unknown = self._joints_where("torque_unknown", False)
+        if names := [name for name in unrestored if name in unknown]:
+            self._exit_messages(None).unrestored(names)
 
     def _hold(self) -> None:
         """Send goals and torque limits that hold the present pose; ignore all errors."""

@@ -82,6 +82,8 @@ class Device:
         torque_unknown: True if torque may be on, because the servo has not answered since a program
             ended, or has not confirmed that torque is off.
         is_unrestored: True if registers may still differ from `initial_values` after torque off.
+        is_off_requested: True if torque off was the last request, and `ServoBus.close` may repeat
+            it.
         voltage, temperature: Supply voltage [V] and temperature [°C] as last read.
         conditions: Errors in the status of the last reply.
         hardware: Errors in the hardware error register (Protocol 2.0).
@@ -120,7 +122,7 @@ class Device:
         self.temperature_limit = inf
         self.alerts = 0
         self._enabled = self.torque_on = self.torque_unknown = False
-        self.is_unrestored = False
+        self.is_unrestored = self.is_off_requested = False
         self.voltage: float | None = None
         self.temperature: float | None = None
         self.conditions: tuple[str, ...] = ()

@@ -75,6 +75,8 @@ def enable(
         lead: Goal minus position of joints without torque (n,) [rad].
         max_speed: Largest joint speed [rad/s]; 0: the no-load speed.
     """
+    for device in devices:
+        device.is_off_requested = False
     images = {}
     for device in devices:
         images[id(device)] = _check_state(device, ports, goal)
@@ -452,6 +454,27 @@ def disable(devices: Sequence[Device], ports: Ports) -> None:
         raise ServoError(MAY_BE_ON + "; ".join(problems))
 
 
+def finish_disable(devices: Sequence[Device], ports: Ports, budget: float) -> None:
+    """Complete an earlier torque off of servos that did not confirm it or kept their registers.
+
+    Errors are ignored. A servo that is still silent is asked for at most the time `budget` [s].
+    """
+    for device in devices:
+        if not device.is_unrestored or device.enabled or id(device) not in ports:
+            continue
+        guard = ports[id(device)].guard
+        guard.start_cycle(budget)
+        try:
+            reply = guard.read(device.id, device.family.block("torque_enable"))
+        except BusError:
+            continue
+        device.note(reply)
+        if device.is_off_requested:
+            _try_off(device, ports)
+        elif not device.torque_on:
+            _try_restore(device, ports)
+
+
 def reboot(devices: Sequence[Device], ports: Ports) -> None:
     """Restart the servos one after the other, and wait until each answers again.
 
@@ -485,7 +508,7 @@ def _try_off(device: Device, ports: Ports) -> str | None:
     device.accept_any_position()
     for key in ("torque", "limit", "goal"):
         device.fault(key, False, "")
-    device.torque_unknown = device.is_unrestored = True
+    device.torque_unknown = device.is_unrestored = device.is_off_requested = True
     try:
         _set(device, ports, "torque_enable", 0)
     except BusError as error:

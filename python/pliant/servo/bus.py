@@ -231,6 +231,9 @@ class ServoBus(BusCycle):
         if self._ports:
             self._silent = sequences.resume(self._silent, self._port_of, self._budget, 0.0)
             return self._commands()
+        for device in self._devices:
+            # A torque off before the program's last torque on must not be repeated.
+            device.is_off_requested, device.torque_unknown = False, True
         self._attach()
         try:
             for path, (response_delay, latency, unused_id) in self._lines.items():
@@ -272,15 +275,22 @@ class ServoBus(BusCycle):
             drop_port(port.path)
 
     def close(self) -> None:
-        """Close the ports; the servos hold their last goal and limit."""
+        """Close the ports; the servos hold their last goal and limit.
+
+        Servos that did not confirm torque off, or whose registers were not restored then, are asked
+        once more before.
+        """
         self.end_cycles()
         self._has_usual_cycles = False
-        for port in self._ports:
-            port.close()
-        self._ports, self._watched_ports, self._port_of = [], [], {}
-        if self._pool is not None:
-            self._pool.shutdown()
-            self._pool = None
+        try:
+            sequences.finish_disable(self._devices, self._port_of, self._budget)
+        finally:
+            for port in self._ports:
+                port.close()
+            self._ports, self._watched_ports, self._port_of = [], [], {}
+            if self._pool is not None:
+                self._pool.shutdown()
+                self._pool = None
 
     def __enter__(self) -> ServoBus:
         """Open the ports as `open` does, and return this bus."""
@@ -560,7 +570,8 @@ class ServoBus(BusCycle):
     def disable(self, names: Sequence[str] | None = None) -> None:
         """Switch torque off, by default of all joints; after a failure, continue with the others.
 
-        RAM registers get their initial values again; `unrestored` tells where this failed.
+        RAM registers get their initial values again; `unrestored` tells where this failed. `close`
+        tries once more where torque off or the registers were not confirmed.
 
         Raises:
             ServoError: Joints did not confirm that torque is off; the message names them.
