@@ -642,3 +642,19 @@ def test_a_servo_silent_during_torque_off_is_asked_again_at_close(answers, monke
         else:
             # One read, and its retries within a few periods.
             assert 0 < len(bus.log) - requests < 10
+
+
+def test_a_supply_that_falls_in_a_loop_is_told_once(monkeypatch):
+    texts = []
+    monkeypatch.setattr(MESSAGES, "post", lambda text, *_, **__: texts.append(text))
+    with arm_over_bytes("sts", LOW) as (bus, arm):
+        arm.enable()
+        assert not texts
+        hold(arm, rate=50.0)
+        assert not texts
+        bus.supply(4.0)  # the lowest voltage at which these servos can be driven: no fault
+        hold(arm, rate=50.0)
+        (text,) = texts
+        assert " was between 4.0 and 7.4 V since torque came on: " in text
+        arm.disable_torque()
+        arm.close()

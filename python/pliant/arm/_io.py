@@ -43,6 +43,8 @@ if TYPE_CHECKING:
 DEFAULT_SPEED = 10.0
 #: Number of consecutive implausible positions of a joint that is reported as a fault.
 MAX_JUMPS = 3
+#: Ratio of lowest to highest voltage since torque on below which the user is warned.
+SAG = 0.85
 
 
 #: Format of the argument `extra` (joints off the chain) in error messages.
@@ -265,6 +267,8 @@ class ArmIO(ArmCycle):
         self._set_supply()
         #: Lowest and highest voltage of each joint (2, N) since `start` [V]; NaN before a reading.
         self.voltage_range: Array = np.full((2, size), np.nan)
+        # True from the end of torque on until the warning of a sagging supply.
+        self._watches_supply = False
         # Last status by joint name.
         self._statuses: dict[str, ServoStatus] = {}
         self.readings = JointReadings(np.full(size, np.nan), np.zeros(size, dtype=bool), 0.0)
@@ -560,6 +564,7 @@ class ArmIO(ArmCycle):
             ServoError: A joint moved when torque came on, or its servo did not confirm.
         """
         self.voltage_range.fill(np.nan)
+        self._watches_supply = False
         usable = self._usable[self.joints.chain]
         goals, self.limits = self._in_drive_order(goal, np.minimum(limit, usable))
         self.goals, self.is_sent = goals, True
@@ -626,10 +631,36 @@ class ArmIO(ArmCycle):
             self._voltage = _with_entry(self._voltage, index, voltage)
             low, high = self.voltage_range
             low[index], high[index] = np.fmin(low[index], voltage), np.fmax(high[index], voltage)
+            if self._watches_supply and (text := self._supply_sag("since torque came on")):
+                self._watches_supply = False
+                MESSAGES.post(text, logging.WARNING)
         if temperature is not None:
             self.thermal.set_temperature(index, temperature + self._extra_heat[index])
             self._temperature = _with_entry(self._temperature, index, temperature)
         self._set_supply()
+
+    def watch_supply(self) -> str | None:
+        """Return a warning if the supply sagged while torque came on; else warn once it does later.
+
+        The check needs no work in cycles in which no servo reports another voltage.
+        """
+        text = self._supply_sag("while torque came on")
+        self._watches_supply = text is None
+        return text
+
+    def _supply_sag(self, when: str) -> str | None:
+        """Return a warning if the supply voltage changed much since `start`, or None."""
+        low, high = self.voltage_range
+        changed = np.flatnonzero(low < SAG * high)
+        if not changed.size:
+            return None
+        worst = changed[np.argmin(low[changed])]
+        return (
+            f"the supply voltage of {self.joints.names[worst]} was between {low[worst]:.1f} and "
+            f"{high[worst]:.1f} V {when}: leads that hold the arm at one voltage do not hold it at "
+            "another, so it rises or sinks by centimetres as the voltage changes; repair supply "
+            "and cable, then switch torque on again"
+        )
 
     def _set_supply(self) -> None:
         """Pass voltages and temperatures of the chain to the limiter, for the next states."""

@@ -33,8 +33,6 @@ FIRST_LEAD, LARGEST_LEAD = 0.03, 0.8
 MAX_DISPLACEMENT = 0.15
 #: Ratio of measured to assumed servo stiffness, or inverse ratio, above which the user is warned.
 MISMATCH = 1.5
-#: Ratio of lowest to highest voltage as torque comes on below which the user is warned.
-SAG = 0.85
 #: Gravity torque over usable torque of a joint above which torque stays off: servos at full torque
 #: would throw an arm upward that is so much lighter than its model.
 LARGEST_WEIGHT = 2.0
@@ -209,21 +207,6 @@ def displacement(io: ArmIO, start_q: Array) -> str | None:
     return (
         f"torque did not hold {', '.join(found)}: signs or zeros are wrong (`pliant servos "
         "doctor ARM --watch`), or a load is too heavy"
-    )
-
-
-def supply_sag(io: ArmIO) -> str | None:
-    """Return a warning if the supply voltage changed much while torque came on, or None."""
-    low, high = io.voltage_range
-    changed = np.flatnonzero(low < SAG * high)
-    if not changed.size:
-        return None
-    worst = changed[np.argmin(low[changed])]
-    return (
-        f"the supply voltage of {io.joints.names[worst]} was between {low[worst]:.1f} and "
-        f"{high[worst]:.1f} V while torque came on: leads that hold the arm at one voltage do not "
-        "hold it at another, so it rises or sinks by centimetres as the voltage changes; repair "
-        "supply and cable, then switch torque on again"
     )
 
 

@@ -35,7 +35,6 @@ from pliant.arm._startup import (
     initial_commands,
     may_lie_on,
     stiffness_mismatch,
-    supply_sag,
     wait_for_all,
 )
 from pliant.arm._supervisor import Supervisor
@@ -260,7 +259,9 @@ class Arm:
         self._leads_q = io.q.copy()
         is_supported = may_lie_on(self.table, self._points, io.q)
         # A sagging supply changes the leads as wrong servo parameters do: report only the sag.
-        mismatch = supply_sag(io) or stiffness_mismatch(io, self.leads, is_supported=is_supported)
+        mismatch = io.watch_supply() or stiffness_mismatch(
+            io, self.leads, is_supported=is_supported
+        )
         for text in filter(None, (displacement(io, start_q), mismatch)):
             MESSAGES.post(text, logging.WARNING)
         self._set_watchdog()
