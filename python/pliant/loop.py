@@ -679,6 +679,8 @@ class Loop:
                 "takes bare numbers"
             )
         if (age := clock.now() - tick.began) > self._stale:
+            if not arm.enabled:  # a tick of an arm that has ended, which accepts no command at all
+                arm._check_usable()
             self._rejected_age = age
             self.rejected += 1
             return False

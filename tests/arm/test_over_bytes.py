@@ -658,3 +658,24 @@ def test_a_supply_that_falls_in_a_loop_is_told_once(monkeypatch):
         assert " was between 4.0 and 7.4 V since torque came on: " in text
         arm.disable_torque()
         arm.close()
+
+
+def test_an_arm_that_has_ended_takes_no_command():
+    with arm_over_bytes("sts", LOW) as (_, arm):
+        with arm:
+            controller = pliant.Controller(arm.model, pliant.Settings(task="xyz"), arm.servos)
+            target = arm.model.forward_kinematics(arm.read().q)
+            gripper = arm.gripper
+            for tick in pliant.Loop(arm, controller, duration=0.1):
+                tick.step(target)
+        assert arm.clock.now() - tick.began > 0.2  # the tick is too old for a command
+        commands = (
+            lambda: arm.write(tick.q),
+            lambda: tick.step(target),
+            lambda: tick.write(tick.command),
+            gripper.open,
+            arm.gripper.close,
+        )
+        for command in commands:
+            with pytest.raises(pliant.ServoError, match="torque is off, was left on"):
+                command()

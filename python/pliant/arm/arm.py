@@ -792,6 +792,11 @@ class Arm:
         io = self._io
         return float(io.positions.position[io.joints.index(name)])
 
+    def _check_usable(self) -> None:
+        """Raise the error of `write` if this process may not write, or if torque is off."""
+        with self._supervisor:
+            self._check_enabled()
+
     def _check_enabled(self) -> None:
         """Raise an error if torque is off; the caller has entered the supervisor's context."""
         if self._supervisor.owner is None:
