@@ -627,6 +627,7 @@ def test_a_servo_silent_during_torque_off_is_asked_again_at_close(answers, monke
             pytest.raises(pliant.ServoError, match="elbow_flex did not confirm torque_enable"),
         ):
             arm.lower()
+        bus.sync()
         assert servo.enabled
         if answers:
             bus.faults.clear()

@@ -555,3 +555,24 @@ def test_a_servo_has_a_limited_time_to_restart(monkeypatch, pings, returns):
         assert device.hardware
     assert not device.enabled
     assert calls[0] == 7
+
+
+@pytest.mark.parametrize("is_enabled_again", [False, True])
+def test_close_repeats_a_torque_off_only_if_it_was_the_last_request(enabled, is_enabled_again):
+    with Emulator(devices("sts", 2), clock="steps") as bus:
+        servo_bus = servo_bus_on(bus, "sts", 2, 0.01)
+        servo_bus.open()
+        enabled(servo_bus)
+        for kind in ("deaf", "lose"):
+            bus.faults.inject(kind, id=2, count=10**6)
+        with pytest.raises(ServoError, match="joint1 did not confirm torque_enable"):
+            servo_bus.disable()
+        bus.sync()  # the last packets get lost too
+        bus.faults.clear()
+        if is_enabled_again:
+            goal = servo_bus.read().position + np.array([1.0, 0.0])
+            with pytest.raises(ServoError, match="enable it with its present position"):
+                servo_bus.enable(goal, 0.5 * servo_bus.servos.max_torque)
+            assert bus.servo(2).enabled
+        servo_bus.close()
+        assert [servo.enabled for servo in bus.servos] == [False, is_enabled_again]
