@@ -1199,7 +1199,7 @@ class Compensation:
 
     Args:
         friction: Share of the friction that the feed-forward compensates; less if all axes of the
-            task together have too little strength to stop an arm whose friction is assumed too high.
+            task have too little strength to stop an arm whose friction is assumed too high.
         damping: Share of the damping that the feed-forward compensates; reduced likewise.
         delay: Share of the delay that the prediction compensates.
 
