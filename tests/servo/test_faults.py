@@ -48,6 +48,23 @@ def test_one_fault_costs_a_retry_and_no_sample(emulated, enabled, kind, fault):
         assert counters["timeouts"] + counters["corrupt"] >= 1
 
 
+@pytest.mark.parametrize("rate", [20.0, 100.0])
+def test_a_servo_whose_replies_were_lost_is_read_again_within_a_time(emulated, enabled, rate):
+    """It was skipped for eight cycles, 0.4 s at 20 Hz: with its misses longer than a loop waits."""
+    with emulated("xl430", 3, clock="steps", rate=rate) as (bus, servo_bus):
+        enabled(servo_bus)
+        for _ in range(5):
+            servo_bus.read()
+            bus.advance(1.0 / rate)
+        bus.faults.inject("lose", 2, count=6)
+        answered = [bus.time]
+        while bus.time < answered[0] + 1.5:
+            if servo_bus.read().ok.all():
+                answered.append(bus.time)
+            bus.advance(1.0 / rate)
+        assert max(np.diff(answered)) < 0.4
+
+
 @pytest.mark.parametrize("kind", PROTOCOLS)
 def test_late_answers_are_never_taken_for_new_ones(emulated, enabled, kind):
     with emulated(kind, 3, clock="steps") as (bus, servo_bus):

@@ -34,9 +34,9 @@ if TYPE_CHECKING:
     from pliant.servo.models.base import Protocol as Wire
     from pliant.servo.transport import Command, Transport
 
-#: A servo that is silent for `MAX_MISSES` cycles is skipped for `PROBE_CYCLES` cycles, because it
-#: costs a timeout in each cycle in which it is read.
-MAX_MISSES, PROBE_CYCLES = 3, 8
+#: A servo that is silent for `MAX_MISSES` cycles is skipped for `PROBE_TIME` [s], but for at most
+#: `PROBE_CYCLES` cycles, because it costs a timeout in each cycle in which it is read.
+MAX_MISSES, PROBE_TIME, PROBE_CYCLES = 3, 0.08, 8
 #: After a time without readings, a servo may have restarted with torque off. The time is the longer
 #: of `RESTART` [s] and `RESTART_CYCLES` control periods.
 RESTART, RESTART_CYCLES = 0.1, 3.0
@@ -135,6 +135,7 @@ class Port:
         )
         self._baudrate, self._cycle, self._clock = baudrate, cycle, clock
         self._restart = max(RESTART, RESTART_CYCLES * cycle)
+        self._probe_cycles = min(PROBE_CYCLES, max(1, round(PROBE_TIME / cycle)))
         self.watchdog = 0
         self._is_armed = False
         #: Number of missed readings of each silent servo, by its id.
@@ -597,16 +598,16 @@ class Port:
         for number in missed if replies else ():
             self.misses[number] = self.misses.get(number, 0) + 1
             if self.misses[number] >= MAX_MISSES:
-                self._silent[number] = PROBE_CYCLES
+                self._silent[number] = self._probe_cycles
         self._accept(replies, accepted)
 
     def _probe(self, accepted: list[int]) -> None:
-        """Read one servo that has been skipped for `PROBE_CYCLES` cycles, if there is one."""
+        """Read one servo that has been skipped for long enough, if there is one."""
         for number in self._silent:
             self._silent[number] -= 1
         due = [device for device in self.devices if self._silent.get(device.id, 1) <= 0]
         for device in due[:1]:
-            self._silent[device.id] = PROBE_CYCLES
+            self._silent[device.id] = self._probe_cycles
             # `ServoBus.read` notices a port that is gone.
             with suppress(BusError):
                 reply = self.guard.read(device.id, *device.family.read, again=False)
