@@ -1198,9 +1198,8 @@ class Compensation:
     Fields not given keep the values of the preset or of the replaced settings.
 
     Args:
-        friction: Share of the friction that the feed-forward compensates; less if all axes of the
-            task have too little strength to stop an arm whose friction is assumed too high.
-        damping: Share of the damping that the feed-forward compensates; reduced likewise.
+        friction: Share of the friction that the feed-forward compensates.
+        damping: Share of the damping that the feed-forward compensates.
         delay: Share of the delay that the prediction compensates.
 
     Raises:

@@ -59,8 +59,7 @@ impl<'a> StepAnalysis<'a> {
         if !self.params.law.by_force() {
             return 1.0;
         }
-        let compensated = self.settings.compensation.friction * self.params.feed_forward_share * self.record.gamma;
-        1.0 - compensated.min(1.0)
+        1.0 - (self.settings.compensation.friction * self.record.gamma).min(1.0)
     }
 
     /// Returns the two forces [N, N·m] at which axis `row`, pushed toward `side` (0: −, 1: +), yields: at the

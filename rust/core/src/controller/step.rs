@@ -321,7 +321,7 @@ impl StepContext<'_> {
             velocity: filtered.velocity,
             gradient,
             gravity: arm.gravity_in_goal,
-            friction_gains: FrictionGains::new(params, settings, singularity.gamma),
+            friction_gains: FrictionGains::new(settings, singularity.gamma),
             integral: J::load(&state.integral),
         };
         let mut solved = StepSolution {

@@ -1,12 +1,12 @@
 //! Feed-forward of friction and damping.
 
 use crate::math::simd::{JointVector, tanh};
-use crate::params::{Params, ServoArrays, Settings};
+use crate::params::{ServoArrays, Settings};
 
 /// Parameters of the friction and damping feed-forward.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct FrictionGains {
-    /// Factor γ b_f on dry friction: singularity fade γ times compensated share b_f, reduced for axes without strength.
+    /// Factor γ b_f on dry friction: singularity fade γ times compensated share b_f.
     pub(crate) friction: f64,
     /// Factor γ b_d on viscous damping, with the compensated share b_d.
     pub(crate) damping: f64,
@@ -17,11 +17,10 @@ pub(crate) struct FrictionGains {
 impl FrictionGains {
     /// Returns the parameters under these settings at the singularity fade γ; law `paper` does not use them.
     #[inline(always)]
-    pub(crate) fn new(params: &Params, settings: &Settings, gamma: f64) -> Self {
-        let share = gamma * params.feed_forward_share;
+    pub(crate) fn new(settings: &Settings, gamma: f64) -> Self {
         Self {
-            friction: share * settings.compensation.friction,
-            damping: share * settings.compensation.damping,
+            friction: gamma * settings.compensation.friction,
+            damping: gamma * settings.compensation.damping,
             speed: settings.paper_options.friction_speed,
         }
     }

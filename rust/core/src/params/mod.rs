@@ -6,7 +6,6 @@ mod axis_params_simd;
 mod checks;
 mod enum_names;
 mod features;
-mod feed_forward;
 mod groups;
 mod impedance;
 pub(crate) mod joint_space;

@@ -12,7 +12,6 @@ use crate::model::Model;
 use crate::params::axis_params::{AxisParams, DeviationLimit, deviation_limits, max_adaptation, resolve_rows};
 use crate::params::axis_params_simd::AxisParamsSimd;
 use crate::params::checks::{check_axes, check_gain, check_gravity, check_kp, check_null_torque};
-use crate::params::feed_forward::FeedForwardBound;
 use crate::params::joint_space::JointSpaceStats;
 use crate::params::pacing::PacingParams;
 use crate::params::scales::clearance;
@@ -160,10 +159,6 @@ pub(crate) struct Params {
     pub(crate) max_host_loss_force: Option<f64>,
     /// Largest rate at which each torque limit may rise [N·m/s]; ∞ for no bound.
     pub(crate) max_limit_rate: JointVec,
-    pub(crate) feed_forward_bound: FeedForwardBound,
-    /// Factor, 0 to 1, on the feed-forward of friction and damping; below 1 if the strengths of the axes are too small to
-    /// stop an arm whose friction is assumed too large.
-    pub(crate) feed_forward_share: f64,
     /// Compliance 1/k_g [rad/(N·m)] of each joint: gravity torque × compliance is the gravity offset of the goal.
     pub(crate) gravity_compliance: JointVec,
 }
@@ -216,8 +211,6 @@ impl Params {
             frame: settings.task.frame,
             fixed_axes: settings.task.frame.base_from_task(&Pose::IDENTITY.rotation),
             axis_simd: AxisParamsSimd::new(&rows[..k], &damping_scale, &kx),
-            feed_forward_bound: FeedForwardBound::new(model, settings, &arrays, &axes),
-            feed_forward_share: 1.0,
             pace: PacingParams::new(model, settings, &arrays, &axes, joint_space_stats),
             per_axis: rows,
             max_adaptation: max_adaptation(settings, known),
@@ -269,7 +262,6 @@ impl Params {
             servos: arrays,
             axes,
         };
-        params.feed_forward_share = params.feed_forward_bound.share(&params.axis_simd);
         params.features = Features::new(model, settings, &params);
         params.is_plain = params.features == Features::PLAIN && n <= LANES;
         check_gain(settings, &params)?;

@@ -77,9 +77,6 @@ impl Params {
                 rows.eta[r] = eta;
             }
         }
-        if axes.caps.is_some() {
-            self.feed_forward_share = self.feed_forward_bound.share(&self.axis_simd);
-        }
     }
 }
 
