@@ -412,8 +412,8 @@ class Port:
         """Send goal, limit and speed cap registers to the servos with torque on.
 
         There is one packet per kind of servo and block of registers. The values for servos without
-        torque are checked too. A servo that is silent while others answer gets its limit only: it
-        may have restarted, and in some models a goal switches torque on.
+        torque are checked too. A servo that is silent while others answer gets its limit only if a
+        goal may switch its torque on, because it may have restarted: not with Protocol 2.0.
 
         Raises:
             ShapeError, OutOfRangeError: See `ServoCodec.encode`; nothing was sent.
@@ -440,7 +440,9 @@ class Port:
             device.record_sent(device.goal, limit)
 
     def _silent_devices(self) -> list[Device]:
-        """Return the servos with torque on that may have restarted, because they are silent."""
+        """Return the servos with torque on that may have restarted, and that a goal switches on."""
+        if self.devices[0].family.protocol == "p2":
+            return []
         oldest = self._clock() - self._restart
         return [d for d in self.devices if d.enabled and d.id in self.misses and d.time < oldest]
 
