@@ -203,6 +203,34 @@ def test_a_silent_elbow_does_not_lift_the_arm_on_its_way_down():
         arm.close()
 
 
+@pytest.mark.parametrize("servo", [2, 3])
+def test_a_silent_joint_descends_by_the_model(servo):
+    """A Feetech servo gets goals too: with its limit only, the elbow fell at 0.47 m/s."""
+    heights = []
+    with arm_over_bytes("sts", [-0.14, -1.02, -0.26, -0.78, -1.05]) as (bus, arm):
+        arm.enable()
+        arm.clock.wait_until(arm.clock.now() + 0.2)
+        wait = arm.clock.wait_until
+
+        def watch(deadline):
+            wait(deadline)
+            speeds.append(np.linalg.norm(bus.plant.ground_truth.frame("tool").twist()[:3]))
+            heights.append(bus.plant.tool[2, 3])
+
+        speeds = []
+        bus.faults.inject("lose", id=servo, count=10**6)
+        wait(arm.clock.now() + 0.1)
+        arm.clock.wait_until = watch
+        with pytest.raises(pliant.ServoError, match="did not confirm torque_enable = 0"):
+            arm.lower()
+        for _ in range(100):
+            watch(arm.clock.now() + 0.01)
+        arm.clock.wait_until = wait
+    assert heights[-1] < heights[0] - 0.1
+    assert max(speeds) < 0.2  # [m/s], measured 0.10
+    assert max(heights) < heights[0] + 0.005
+
+
 @pytest.mark.parametrize(
     ("family", "q"),
     [("x", LOW), *(pytest.param(name, HIGH, marks=pytest.mark.full) for name in FAMILIES)],

@@ -11,7 +11,7 @@ from pliant._core import BusStatus, ServoCodec
 from pliant.emulator import Device, Emulator, ManualClock
 from pliant.servo import BusError, ServoBus, ServoSpec
 from pliant.servo import _device as driver
-from pliant.servo._port import Port, StatusPoller, latency_timer
+from pliant.servo._port import RESTART_SPEED, Port, StatusPoller, latency_timer
 from pliant.servo._transactions import TransactionGuard
 from pliant.servo.bus import check_agreement
 
@@ -535,6 +535,31 @@ def test_a_servo_that_is_silent_gets_no_goal_before_its_torque_is_known(
         found = goals_and_limits()
     assert found == [[True, has_torque, True]] * 2
     assert chain.devices[1].enabled is has_torque
+
+
+@pytest.mark.parametrize("model", ["STS3215", "RX-64"])
+def test_a_silent_servo_gets_a_goal_only_with_a_speed_cap_in_the_same_packet(fake_bus, model):
+    """It may have restarted: a goal then switches torque on, and the cap prevents a jump."""
+    chain = Chain(fake_bus, model, "p2")
+    assert len(chain.devices[1].family.write) == 1
+    chain.cycle()
+    chain.dead, chain.port._restart = {2}, 0.1
+    for _ in range(3):
+        chain.cycle(0.2)
+
+    def gets_goal(speed):
+        chain.put(2, goal=0)
+        chain.port.write(([0.1] * 3, [0.2] * 3, speed, 0.0))
+        return chain.get(2, "goal") > 0
+
+    slow, fast = RESTART_SPEED, 1.01 * RESTART_SPEED
+    assert not gets_goal(None)
+    assert not gets_goal([math.inf, fast, math.inf])
+    assert gets_goal([math.inf, slow, math.inf])
+    chain.devices[1].caps_speed = False
+    assert not gets_goal([math.inf, slow, math.inf])
+    with pytest.raises(ShapeError):
+        chain.port.write(([0.1] * 3, [0.2] * 3, [slow], 0.0))
 
 
 def test_an_armed_watchdog_that_tripped_in_a_silence_is_armed_again(fake_bus):

@@ -76,6 +76,7 @@ class Device:
         temperature_limit: Temperature at which the servo switches off [°C].
         alerts: Number of replies in which an error bit of the status byte appeared.
         multi_turn: True if goals may exceed one turn.
+        caps_speed: True if the speed cap register bounds the speed.
         overload: Share of the full torque above which overload protection acts; None: never.
         wraparound: Counts per turn, if positions wrap around after a turn; else None.
         torque_on: True if torque was on at the last reading of Torque Enable.
@@ -116,7 +117,7 @@ class Device:
         self.low, self.high = 0, self.row.max_position
         is_full_turn = self.row.counts_per_turn == self.row.max_position + 1
         self.wraparound: int | None = self.row.max_position + 1 if is_full_turn else None
-        self.multi_turn = self.family.multi_turn
+        self.multi_turn, self.caps_speed = self.family.multi_turn, True
         self.overload: float | None = self.row.overload
         self.min_voltage, self._last_good_voltage = 0.0, 0.0
         self.temperature_limit = inf

@@ -375,7 +375,8 @@ def _store_registers(device: Device, image: RegisterImage) -> ServoInfo:
             "it shuts off on overload, but a compliant arm often pushes at its limit: "
             "`pliant servos setup` offers to clear bit 5 of Shutdown"
         )
-    if "phase" in image and not image["phase"] & 1 << SPEED_UNIT_BIT:
+    device.caps_speed = "phase" not in image or bool(image["phase"] & 1 << SPEED_UNIT_BIT)
+    if not device.caps_speed:
         notes.append("its speed registers count in 50 steps/s (Phase, bit 2): speed caps are void")
     delay = image["return_delay"] * 2e-6
     if delay > 20e-6 and family.status != "feetech":

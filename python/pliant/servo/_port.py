@@ -9,6 +9,8 @@ from math import ceil, inf
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from pliant._core import JointReadings
 from pliant.drive import ServoStatus
 from pliant.servo._transactions import (
@@ -40,6 +42,8 @@ MAX_MISSES, PROBE_TIME, PROBE_CYCLES = 3, 0.08, 8
 #: After a time without readings, a servo may have restarted with torque off. The time is the longer
 #: of `RESTART` [s] and `RESTART_CYCLES` control periods.
 RESTART, RESTART_CYCLES = 0.1, 3.0
+#: Largest speed cap [rad/s] with which such a servo may get goals; the fastest joint of a descent.
+RESTART_SPEED = 1.0
 #: Largest share of a control period that reading the status registers of all servos may take, by
 #: a request for their torque state or by longer readings.
 STATUS_SHARE = 0.2
@@ -412,14 +416,18 @@ class Port:
         """Send goal, limit and speed cap registers to the servos with torque on.
 
         There is one packet per kind of servo and block of registers. The values for servos without
-        torque are checked too. A servo that is silent while others answer gets its limit only if a
-        goal may switch its torque on, because it may have restarted: not with Protocol 2.0.
+        torque are checked too. A silent servo may have restarted, and a goal switches its torque on
+        except with Protocol 2.0: it gets its limit only, unless the speed cap in the same packet
+        keeps it from jumping, as in a descent.
 
         Raises:
             ShapeError, OutOfRangeError: See `ServoCodec.encode`; nothing was sent.
             BusError: A packet could not be sent.
         """
-        silent = self._silent_devices() if self.misses else []
+        silent: list[Device] = []
+        if self.misses:
+            self.devices[0].codec.encode([], *command)
+            silent = self._silent_devices(command)
         if self._seen != self._status.torque_changes or silent != self._withheld:
             self._seen, self._withheld = self._status.torque_changes, silent
             driven = [device for device in self.devices if device.enabled and device not in silent]
@@ -439,12 +447,16 @@ class Port:
             self.guard.sync_write([device.id], register.address, [register.encode(limit)])
             device.record_sent(device.goal, limit)
 
-    def _silent_devices(self) -> list[Device]:
-        """Return the servos with torque on that may have restarted, and that a goal switches on."""
+    def _silent_devices(self, command: Command) -> list[Device]:
+        """Return the servos with torque on that may have restarted, and would jump to the goal."""
         if self.devices[0].family.protocol == "p2":
             return []
         oldest = self._clock() - self._restart
-        return [d for d in self.devices if d.enabled and d.id in self.misses and d.time < oldest]
+        silent = [d for d in self.devices if d.enabled and d.id in self.misses and d.time < oldest]
+        if command[2] is None:
+            return silent
+        speed = np.asarray(command[2])
+        return [d for d in silent if not (d.caps_speed and speed[d.joint] <= RESTART_SPEED)]
 
     def send(
         self, group: Group, goals: Sequence[int], limits: Sequence[int], data: Sequence[list[bytes]]
