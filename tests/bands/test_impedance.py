@@ -188,3 +188,25 @@ def test_what_is_refused_rings_and_what_is_proposed_instead_does_not():
     )  # [rad/s], measured 1.1
     nearest = {name: Axis(stiffness=float(value)) for name, value in proposed}
     assert residual_speed(50.0, nearest) < 0.005  # [rad/s], measured 0.001
+
+
+@pytest.mark.parametrize("delay", [(0, 0), (1, 1)])
+@pytest.mark.parametrize("friction", [1.0, 0.5])
+def test_servos_that_need_a_large_lead_do_not_oscillate_after_a_push(friction, delay):
+    """The goals of koch take 0.4 s to the lead of full torque; the delay is unknown to the law.
+
+    At 5.8 times the servos' stiffness it moved by 45 mm at 0.4 m/s without end.
+    """
+    model, pose = robots.koch(), [0.3, 0.5, -0.7, 0.3, 0.0]
+    controller = Controller(model, Settings(law="impedance", task="xyz"))
+    plant = Plant(model, rate=100.0, friction_scale=friction, delay=delay)
+    plant.reset(pose)
+    target, positions = plant.tool, []
+    for tick in range(400):
+        command = controller.step(plant.read().q, target)
+        plant.write(command.goal, command.torque_limit)
+        if tick == 50:
+            plant.mj_data.qvel[: model.n] += 0.15 * np.linalg.pinv(model.jacobian(pose)[:3])[:, 1]
+        plant.advance()
+        positions.append(plant.tool[:3, 3])
+    assert np.ptp(positions[-100:], axis=0).max() < 0.001  # [m]

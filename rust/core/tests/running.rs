@@ -578,7 +578,12 @@ fn a_stiff_axis_exerts_the_force_for_the_velocity_and_acceleration_of_its_refere
     let model = Arc::new(Model::from_urdf_str(LEVER, &options).unwrap());
     let (kp, lever, horizon, friction, damping, lambda) = (100.0, -0.5, 0.25, 0.2, 0.5, 0.1);
     let inertia = 0.5 * lever * lever;
-    let servos = Servos { friction: vec![friction], damping: vec![damping], ..Servos::new(vec![kp], vec![8.0]) };
+    let servos = Servos {
+        friction: vec![friction],
+        damping: vec![damping],
+        stiffness_known: true,
+        ..Servos::new(vec![kp], vec![8.0])
+    };
     let rest = model.forward_kinematics(&[0.0]).unwrap();
     let mut target = rest;
     target.position[2] += 0.1;

@@ -1,6 +1,6 @@
 //! Feed-forward of friction and damping.
 
-use crate::math::simd::{JointVector, tanh};
+use crate::math::simd::{F64x8, JointVector, RealOps, tanh};
 use crate::params::{ServoArrays, Settings};
 
 /// Parameters of the friction and damping feed-forward.
@@ -55,5 +55,41 @@ impl<J: JointVector> FrictionFeedForward<J> {
     #[inline(always)]
     pub(crate) fn at_load(&self, torque: J) -> J {
         J::fma(self.per_load, J::abs(torque), self.unloaded)
+    }
+}
+
+/// Share of the feed-forward of estimated friction and damping that is exerted without a force of the law that would
+/// stop the joints: the true friction may be half the estimate.
+pub(crate) const UNOPPOSED_SHARE: f64 = 0.5;
+
+/// Motion of the joints and of the task axes, and the forces of the law that would stop it.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct OpposedMotion<J: JointVector> {
+    /// Joint velocity [rad/s].
+    pub(crate) joints: J,
+    /// Velocity of the task axes [m/s, rad/s].
+    pub(crate) axes: J::Axes,
+    /// Factor on `axes` that makes translations and rotations comparable.
+    pub(crate) row_scale: J::Axes,
+    /// Force of each task axis that would oppose a motion along it [N, N·m].
+    pub(crate) force: J::Axes,
+}
+
+impl<J: JointVector> OpposedMotion<J> {
+    /// Returns the share of the estimated `feed_forward` [N·m] with which the arm does not move by itself if friction
+    /// and damping are half of the estimate: at least [`UNOPPOSED_SHARE`].
+    ///
+    /// The power of the rest is attributed to the task axes in proportion to their velocities, and each part is at most
+    /// the power of the axis' own force. A sum over the axes would not do: joints that move one axis move others a
+    /// little, and the force of a stiff axis would then permit a feed-forward that drives one without strength.
+    #[inline(always)]
+    pub(crate) fn share(&self, feed_forward: J) -> f64 {
+        let power = (1.0 - UNOPPOSED_SHARE) * J::abs(feed_forward * self.joints).sum();
+        let speed = J::Axes::abs(self.axes);
+        let scaled = speed * self.row_scale;
+        let total: f64 = scaled.to_axes().iter().sum();
+        let parts = scaled * J::Axes::splat(power / total.max(f64::MIN_POSITIVE));
+        let opposed: f64 = J::Axes::min(parts, self.force * speed).to_axes().iter().sum();
+        if opposed < power { UNOPPOSED_SHARE + (1.0 - UNOPPOSED_SHARE) * opposed / power } else { 1.0 }
     }
 }

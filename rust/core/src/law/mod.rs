@@ -13,7 +13,7 @@ pub(crate) mod scaling;
 pub(crate) mod singularity;
 pub(crate) mod wrench;
 
-use crate::law::friction::{FrictionFeedForward, FrictionGains};
+use crate::law::friction::{FrictionFeedForward, FrictionGains, OpposedMotion};
 use crate::law::nullspace::NullSpace;
 use crate::law::overspeed::Overspeed;
 use crate::law::singularity::SingularityState;
@@ -238,6 +238,19 @@ impl<J: JointVector> LawInput<'_, J> {
     #[inline(always)]
     pub(crate) fn friction(&self, ahead: J) -> FrictionFeedForward<J> {
         FrictionFeedForward::new([self.velocity, self.velocity + ahead], &self.params.servos, self.friction_gains)
+    }
+
+    /// Returns the motion at the joint velocity plus `ahead` [rad/s], and what opposes it: along a yielding axis the
+    /// wrench `soft` [N, N·m] of this step, along a stiff one its strength, which it reaches at a small deviation.
+    #[inline(always)]
+    pub(crate) fn opposed_motion(&self, ahead: J, soft: J::Axes) -> OpposedMotion<J> {
+        let (joints, demand) = (self.velocity + ahead, self.demand);
+        OpposedMotion {
+            joints,
+            axes: J::Axes::from_axes(&mul(self.rows, joints)),
+            row_scale: J::Axes::from_axes(&self.params.row_scale),
+            force: J::Axes::abs(soft) + demand.max_strength - demand.softness * demand.strength,
+        }
     }
 
     /// Returns the null-space projector that the settings select.

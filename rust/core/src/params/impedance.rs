@@ -8,7 +8,7 @@ use crate::math::spectral::rho;
 use crate::model::Model;
 use crate::params::resolved::{GAIN_DELAY_BOUND, REFERENCE_REACH};
 use crate::params::{AXIS_NAMES, Params, ServoArrays, Settings, joint_space};
-use crate::{AxisVec, MAX_AXES, Rows};
+use crate::{AxisVec, MAX_AXES, MAX_JOINTS, Rows};
 
 /// Default stiffness of translations [N/m] and rotations [N·m/rad], tuned on `arm7`; scaled for other arms.
 const REFERENCE_STIFFNESS: [f64; 2] = [800.0, 20.0];
@@ -24,16 +24,24 @@ const WELL_DAMPED_DELAY: f64 = 0.03;
 /// Largest ratio ρ of the axes' stiffness to the servos' own that well damped servos allow.
 const WELL_DAMPED_RATIO: f64 = 3.0;
 
+/// Largest lead at full torque [rad] with which goals at their default speed limit of 1 rad/s reverse a force in time for
+/// a ratio ρ above `WELL_DAMPED_RATIO`.
+const QUICK_LEAD: f64 = 0.15;
+
 /// Returns the largest ratios ρ of the axes' stiffness [1] and damping [s] to the servos' stiffness at a delay [s]; ∞
 /// with `accept_high_stiffness`. With T_e = delay + half a period: `max(1, 0.03 s / T_e)` for stiffness, at least 3 for
-/// well damped servos up to a T_e of 0.03 s; `0.007 s² / (T_e + T_f)` for damping.
-pub(super) fn bounds(settings: &Settings, delay: f64, well_damped: bool) -> [f64; 2] {
+/// well damped servos up to a T_e of 0.03 s, at most 3 if a servo needs a lead of more than [`QUICK_LEAD`];
+/// `0.007 s² / (T_e + T_f)` for damping.
+pub(super) fn bounds(settings: &Settings, delay: f64, servos: &ServoArrays, n: usize) -> [f64; 2] {
     if settings.accept_high_stiffness {
         return [f64::INFINITY; 2];
     }
     let late = delay + 0.5 / settings.rate;
-    let least = if well_damped && late <= WELL_DAMPED_DELAY { WELL_DAMPED_RATIO } else { 1.0 };
-    [(GAIN_DELAY_BOUND / late).max(least), DAMPING_DELAY_BOUND / (late + settings.tracking.velocity_filter)]
+    let least = if servos.well_damped(n) && late <= WELL_DAMPED_DELAY { WELL_DAMPED_RATIO } else { 1.0 };
+    let is_slow = (0..n.min(MAX_JOINTS)).any(|i| servos.lead_at_full_torque(i) > QUICK_LEAD);
+    let max = if is_slow { WELL_DAMPED_RATIO } else { f64::INFINITY };
+    let stiffness = (GAIN_DELAY_BOUND / late).max(least).min(max);
+    [stiffness, DAMPING_DELAY_BOUND / (late + settings.tracking.velocity_filter)]
 }
 
 /// Returns the default stiffness of axes that do not yield, of translations [N/m] and rotations [N·m/rad]; zero under
@@ -110,5 +118,5 @@ fn overshoot(model: &Model, params: &Params, gains: &AxisVec, max: f64) -> f64 {
 
 /// Returns the reason for a bound, for error messages.
 fn why(settings: &Settings) -> String {
-    format!("with a delay of {} s at {} Hz a stiffer loop oscillates", settings.delay, settings.rate)
+    format!("with a delay of {} s at {} Hz and these servos a stiffer loop oscillates", settings.delay, settings.rate)
 }

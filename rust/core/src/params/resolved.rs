@@ -224,7 +224,7 @@ impl Params {
                 _ => None,
             },
             gain_scale: 1.0,
-            impedance_bounds: impedance::bounds(settings, settings.delay, well_damped),
+            impedance_bounds: impedance::bounds(settings, settings.delay, &arrays, n),
             null_stiffness: settings.null_space.stiffness,
             alpha: settings.null_space.gain.unwrap_or_else(|| settings.tracking.gain.max_entry()),
             redistribution_damping: damping_scale.map(|scale| {
@@ -248,7 +248,7 @@ impl Params {
             } else {
                 TargetRegion::ANY
             },
-            overtravel: joints(n, 0.0, |i| overtravel(&arrays, i)),
+            overtravel: joints(n, 0.0, |i| arrays.lead_at_full_torque(i)),
             limit_fade_slope: gain_bound(well_damped, settings.delay, 1.0 / settings.rate) - 1.0,
             clearance: if posture_lets_go { clearance(&lower, &upper) } else { [f64::NEG_INFINITY; MAX_JOINTS] },
             min_torque_limit: match &settings.torque_limits.floor {
@@ -287,7 +287,7 @@ impl Params {
     pub(crate) fn set_delay(&mut self, delay: f64, settings: &Settings) {
         let (gain, bound) = (self.gain(settings.paper_options.horizon), self.gain_bound(delay, 1.0 / settings.rate));
         self.gain_scale = if self.law.bounds_gain() && gain > bound { bound / gain } else { 1.0 };
-        self.impedance_bounds = impedance::bounds(settings, delay, self.servos.well_damped(self.n));
+        self.impedance_bounds = impedance::bounds(settings, delay, &self.servos, self.n);
         self.limit_fade_slope = bound - 1.0;
         self.pace.set_delay(delay, settings);
     }
@@ -295,11 +295,6 @@ impl Params {
 
 fn gain_bound(well_damped: bool, delay: f64, period: f64) -> f64 {
     if well_damped { 3.0 } else { (GAIN_DELAY_BOUND / (delay + 0.5 * period)).clamp(1.0, 3.0) }
-}
-
-/// Returns the lead (goal − q) [rad] at which a servo exerts its full torque; 0 if `k_p` is unknown.
-fn overtravel(servos: &ServoArrays, i: usize) -> f64 {
-    if servos.has_kp { servos.torque[i] * servos.compliance[i] } else { 0.0 }
 }
 
 /// Returns the margin of a joint's torque limit above the law's demand [N·m].

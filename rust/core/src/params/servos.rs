@@ -50,7 +50,8 @@ pub struct Servos {
     pub limit_type: LimitType,
     /// No-load speed [rad/s] > 0, required for [`LimitType::Pwm`].
     pub no_load_speed: Option<Vec<f64>>,
-    /// True if `kp` is known within 10 %, by identification or measurement.
+    /// True if `kp` is known within 10 %, by identification or measurement, and friction and damping are measured too. If
+    /// false, half of their feed-forward is exerted only as far as a force of the law opposes the motion.
     pub stiffness_known: bool,
 }
 
@@ -189,12 +190,19 @@ pub(crate) struct ServoArrays {
     pub(crate) armature: JointVec,
     /// Angle of one encoder count [rad].
     pub(crate) encoder_step: JointVec,
+    /// True if friction and damping are estimates, which may be twice the true values.
+    pub(crate) estimated: bool,
 }
 
 impl ServoArrays {
     /// Returns true if every joint has `d/k_p ≥ 0.04 s`. The stiff axes may then be three times as stiff as the servos.
     pub(crate) fn well_damped(&self, n: usize) -> bool {
         (0..n.min(MAX_JOINTS)).all(|i| self.damping[i] * self.compliance[i] >= 0.04)
+    }
+
+    /// Returns the lead (goal − q) [rad] at which the servo of joint `i` exerts its full torque; 0 if `k_p` is unknown.
+    pub(crate) fn lead_at_full_torque(&self, i: usize) -> f64 {
+        if self.has_kp { self.torque[i] * self.compliance[i] } else { 0.0 }
     }
 
     /// Returns the static friction of joint `i` under the load `torque` [N·m].
@@ -234,6 +242,7 @@ impl ServoArrays {
             drag: [0.0; MAX_JOINTS],
             armature: [0.0; MAX_JOINTS],
             encoder_step: [0.0; MAX_JOINTS],
+            estimated: servos.is_some_and(|servos| !servos.stiffness_known),
         };
         let Some(servos) = servos else {
             for (ceiling, effort) in arrays.torque.iter_mut().zip(effort) {

@@ -100,6 +100,7 @@ pub(crate) fn settings(random: &mut Random, model: &Model, law: Law) -> Settings
         law,
         delay: random.pick(&[0.0, 0.01, 0.02]),
         max_tool_speed: [f64::INFINITY; 2],
+        accept_high_adaptation: true,
         tracking: Tracking {
             gain: gain(random, k, 4.0),
             damping: random.pick(&[
@@ -202,6 +203,7 @@ pub(crate) fn servos(random: &mut Random, nominal: &Servos, n: usize) -> Servos 
         }
         servos.encoder_step[i] = random.pick(&[0.0, 1e-3, 5e-3]);
     }
+    servos.stiffness_known = servos.kp[0] > nominal.for_joints(n).unwrap().kp[0];
     if random.chance(0.3) {
         servos.limit_type = pliant_core::LimitType::Pwm;
         servos.no_load_speed = Some((0..n).map(|_| random.between(4.0, 10.0)).collect());

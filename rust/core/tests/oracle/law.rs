@@ -24,6 +24,8 @@ pub(super) struct LawInput<'a> {
     pub(super) stiffness: &'a Vector,
     /// Damping of each row [N·s/m, N·m·s/rad].
     pub(super) viscosity: &'a Vector,
+    /// Joint velocity [rad/s].
+    pub(super) velocity: &'a Vector,
     /// Velocity of the target minus that of the tool [m/s, rad/s].
     pub(super) relative: &'a Vector,
     pub(super) gradient: &'a Vector,
@@ -147,7 +149,8 @@ impl LawInput<'_> {
     }
 
     /// Returns the motion of law `impedance`: `F = clip(K ẽ − D v, ±max_strength)` per axis, with ρ(K) at most `max(1,
-    /// 0.03 s / T_e)` and ρ(D) at most `0.007 s² / (T_e + T_f)`.
+    /// 0.03 s / T_e)`, or 3 if the lead of a servo at full torque is above 0.15 rad, and ρ(D) at most `0.007 s² / (T_e +
+    /// T_f)`.
     pub(super) fn impedance(&self) -> Motion {
         let (settings, kp) = (&self.oracle.settings, self.oracle.kp());
         let within = |gains: &Vector, bound: f64| {
@@ -161,7 +164,8 @@ impl LawInput<'_> {
         };
         let late = self.oracle.delay + 0.5 / settings.rate;
         let least = if self.oracle.well_damped() && late <= 0.03 { 3.0 } else { 1.0 };
-        let derating = within(self.stiffness, (0.03 / late).max(least));
+        let max = if self.oracle.ceiling().component_div(&kp).max() > 0.15 { 3.0 } else { f64::INFINITY };
+        let derating = within(self.stiffness, (0.03 / late).max(least).min(max));
         let damped = within(self.viscosity, 0.007 / (late + settings.tracking.velocity_filter)) * self.viscosity;
         let force = Vector::from_fn(self.k(), |r, _| {
             let wanted = derating * self.stiffness[r] * self.adapted[r] + damped[r] * self.relative[r];
@@ -193,7 +197,7 @@ impl LawInput<'_> {
         let ceiling = self.oracle.ceiling();
         let (tau_soft, tau_stiff) = (self.rows.transpose() * soft, self.rows.transpose() * stiff);
         let snapshot = (self.in_goal + &tau_soft + &tau_stiff).zip_map(&ceiling, |torque, max| torque.abs().min(max));
-        let feed_forward = self.idle + self.loaded.component_mul(&snapshot);
+        let feed_forward = self.within_opposition(self.idle + self.loaded.component_mul(&snapshot), soft);
         let base = self.in_goal + &feed_forward + kp.component_mul(&null);
         let (mut f_soft, mut f_stiff) = (1.0, 1.0);
         if past_limit(&(&base + &tau_soft + &tau_stiff), &ceiling) {
@@ -215,6 +219,23 @@ impl LawInput<'_> {
             factors: [f_null, f_soft * g_soft, f_stiff * g_stiff],
             derating: 1.0,
         }
+    }
+
+    /// Returns the feed-forward; of estimated friction and damping, the half that may be too much is reduced to what
+    /// the axes oppose, each for its share of the tool's velocity.
+    fn within_opposition(&self, feed_forward: Vector, soft: &Vector) -> Vector {
+        if self.oracle.servos.as_ref().is_none_or(|servos| servos.stiffness_known) {
+            return feed_forward;
+        }
+        let uncertain = 0.5 * feed_forward.component_mul(self.velocity).abs().sum();
+        let (speed, scaled) = ((self.rows * self.velocity).abs(), (self.scaled * self.velocity).abs());
+        let opposed: f64 = (0..self.k())
+            .map(|r| {
+                let force = soft[r].abs() + self.max_strength[r] - self.softness[r] * self.strength[r];
+                (uncertain * scaled[r] / scaled.sum()).min(force * speed[r])
+            })
+            .sum();
+        feed_forward * if uncertain > 0.0 { 0.5 + 0.5 * opposed / uncertain } else { 1.0 }
     }
 
     /// Returns the factor that keeps the null-space motion within its own speed limit.
