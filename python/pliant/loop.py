@@ -25,7 +25,7 @@ from pliant._core import (
 )
 from pliant._processes import check_real_time_priority, real_time_priority
 from pliant._validation import format_value, real
-from pliant.arm._checks import TORQUE_OFF, check_same_robot, longest_command_age, vector
+from pliant.arm._checks import check_same_robot, longest_command_age, vector
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -448,7 +448,7 @@ class Loop:
     def _supervised(self) -> Iterator[Callable[[], None]]:
         """Return `Arm.supervised` as a context that closes the recorder at its end."""
         if not self._arm.enabled:
-            raise ServoError(TORQUE_OFF)
+            self._arm._check_usable()
         patience = max(self._max_step_time, self._arm.comm_timeout) + self.period + GRACE
         ended = False
         try:
@@ -532,7 +532,7 @@ class Loop:
                     done = clock.now()
                     if done - now > self._max_step_time:
                         if not arm.enabled:  # the program itself lowered the arm in this tick
-                            raise ServoError(TORQUE_OFF)
+                            arm._check_usable()
                         raise ServoTimeoutError(
                             f"the program did not come back for {done - now:.2f} s (max_step_time "
                             f"allows {self._max_step_time:g} s); the servos held meanwhile"

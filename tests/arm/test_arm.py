@@ -22,6 +22,7 @@ from pliant.arm._messages import MESSAGES, Message
 from pliant.arm._supervisor import Supervisor
 from pliant.arm.gripper import Gripper
 from pliant.drive import ServoStatus
+from pliant.loop import Loop
 from pliant.sim import Plant, SimDrive
 
 
@@ -733,8 +734,31 @@ def test_a_failed_descent_holds_the_arm_and_names_its_joints(quick, error, text)
     assert quick.drive.calls == ["write", 0.0]
     assert text in quick.texts[-1][0]
     assert not quick.enabled
-    with pytest.raises(pliant.ServoError, match=r"failed, torque may be ON: arm\.enable\(\)"):
-        quick.lower()
+    state = r"failed; at the last replies torque was ON in elbow_flex: arm\.enable\(\)"
+    for use in (quick.lower, lambda: quick.write(np.zeros(5)), lambda: next(iter(Loop(quick)))):
+        with pytest.raises(pliant.ServoError, match=state):
+            use()
+    quick.error = None
+    quick.enable()
+    quick.lower()
+
+
+def test_the_error_of_an_arm_without_control_says_what_its_torque_is(quick):
+    with quick:
+        quick.leave_enabled()
+        with pytest.raises(pliant.ServoError, match=r"^torque was left ON: arm\.enable\(\)"):
+            quick.write(np.zeros(5))
+    quick.enable()
+    quick.lower()
+    with pytest.raises(pliant.ServoError, match=r"^torque is off: use"):
+        quick.write(np.zeros(5))
+    quick.enable()
+    quick.error = pliant.ServoFaultError("rejected")
+    quick._guardian = SimpleNamespace(close=lambda hand_over: None, rest=lambda: None)
+    with pytest.raises(pliant.ServoFaultError):
+        quick.close()
+    with pytest.raises(pliant.ServoError, match=r"and the arm.s guardian lowers it: "):
+        quick.write(np.zeros(5))
     quick.error = None
     quick.enable()
     quick.lower()

@@ -706,5 +706,5 @@ def test_an_arm_that_has_ended_takes_no_command():
             arm.gripper.close,
         )
         for command in commands:
-            with pytest.raises(pliant.ServoError, match="torque is off, was left on"):
+            with pytest.raises(pliant.ServoError, match="torque is off: use"):
                 command()

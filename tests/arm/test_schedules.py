@@ -691,7 +691,7 @@ class Story:
             world.hardware.faults = 1
             with pytest.raises(pliant.ServoError, match="no answer"):
                 arm.disable_torque()
-            with pytest.raises(pliant.ServoError, match=r"torque off failed, .*its guardian"):
+            with pytest.raises(pliant.ServoError, match=r"torque off failed; .*its guardian"):
                 arm.lower()
         elif event == "the program stalls":
             ticks(world, arm, 3, 0.4)

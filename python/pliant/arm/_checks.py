@@ -19,11 +19,8 @@ if TYPE_CHECKING:
     from pliant._typing import Array
 
 
-#: Error message if an arm is used before it is enabled.
-TORQUE_OFF = (
-    "torque is off, was left on, or may be on after a descent that failed: use `with connect(...) "
-    "as arm`, or arm.enable()"
-)
+#: Error message if an arm without torque is used.
+TORQUE_OFF = "torque is off: use `with connect(...) as arm`, or arm.enable()"
 #: Type of joint vectors.
 FLOAT = np.dtype(np.float64)
 #: Distance by which an accepted joint position may exceed its limits [rad].

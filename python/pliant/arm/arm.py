@@ -146,6 +146,8 @@ class Arm:
         self._is_unfinished = False
         #: True while torque is on without control, at the user's request.
         self._is_left_on = False
+        #: True from the time at which `close` left the arm to its guardian until the next `enable`.
+        self._is_handed_over = False
         self._exit_message: str | None = None
         #: Threads that `close` waits for once torque is off.
         self._unfinished_threads: list[Thread] = []
@@ -238,7 +240,7 @@ class Arm:
             atexit.register(self._at_exit)
             atexit.register(self._at_exit)
             self._start_guardian()
-            self._is_unfinished = self._is_left_on = False
+            self._is_unfinished = self._is_left_on = self._is_handed_over = False
             # Until this method returns, accesses to the drive do not restart this timeout.
             self._supervisor.heartbeat[1] = ENABLE_TIME
             self._supervisor.owner = os.getpid()
@@ -377,6 +379,7 @@ class Arm:
                     self._report_unconfirmed()
             if self._guardian is not None:
                 self._guardian.close(hand_over=self._is_unfinished)
+                self._is_handed_over = self._is_unfinished
                 self._guardian, self._is_unfinished = None, False
             MESSAGES.flush()
             if self._signals is not None:
@@ -394,17 +397,8 @@ class Arm:
         A second Ctrl-C aborts the descent; torque then stays on.
         """
         if not self.enabled:
-            if self._is_unfinished:
-                guardian = ", arm.close() leaves it to its guardian" if self._guardian else ""
-                raise ServoError(
-                    "the last descent or torque off failed, torque may be ON: arm.enable() takes "
-                    f"the arm over{guardian}"
-                )
-            if self._is_left_on:
-                raise ServoError(
-                    "torque was left ON: arm.enable() takes the arm over, then arm.lower() lowers "
-                    "it; arm.disable_torque() lets it fall"
-                )
+            if self._is_unfinished or self._is_left_on:
+                raise self._torque_error()
             return
         error, signals = sys.exception(), self._signals
         messages = self._exit_messages(self._supervisor.reason or exit_cause(error))
@@ -800,7 +794,31 @@ class Arm:
     def _check_enabled(self) -> None:
         """Raise an error if torque is off; the caller has entered the supervisor's context."""
         if self._supervisor.owner is None:
-            raise ServoError(TORQUE_OFF)
+            raise self._torque_error()
+
+    def _torque_error(self) -> ServoError:
+        """Return the error for a use of the arm while no process controls it: state and remedy."""
+        if self._is_unfinished:
+            guardian = ", arm.close() leaves it to its guardian" if self._guardian else ""
+            unknown = self._joints_where("torque_unknown", False)
+            on = [name for name in self._joints_where("enabled", True) if name not in unknown]
+            states = [f"ON in {', '.join(on)}"] if on else []
+            states += [f"not known in {', '.join(unknown)}"] if unknown else []
+            return ServoError(
+                "the last descent or torque off failed; at the last replies torque was "
+                f"{', '.join(states) or 'off'}: arm.enable() takes the arm over{guardian}"
+            )
+        if self._is_handed_over:
+            return ServoError(
+                "the last descent or torque off failed, and the arm's guardian lowers it: "
+                "arm.enable() takes it over once the guardian has released the port"
+            )
+        if self._is_left_on:
+            return ServoError(
+                "torque was left ON: arm.enable() takes the arm over, then arm.lower() lowers it; "
+                "arm.disable_torque() lets it fall"
+            )
+        return ServoError(TORQUE_OFF)
 
 
 def _end_at_the_caller(error: KeyboardInterrupt) -> None:
