@@ -19,7 +19,9 @@ ROWS = [line for line in TEXT.splitlines() if line.startswith("| ")]
 #: Words in backticks in the first column of the glossary's tables.
 TERMS = {word for row in ROWS for word in re.findall(r"`([^`]+)`", row.split("|")[1])}
 #: Options without an entry: they are self-explanatory, or the docstring of their class has them.
-SELF_EXPLAINING = {"grippers", "handle_signals", "power_budget", "rate", "table", "watchdog"}
+SELF_EXPLAINING = {
+    *("grippers", "handle_signals", "name", "power_budget", "rate", "table", "watchdog"),
+}
 
 
 def words_of(*objects: object) -> set[str]:

@@ -460,6 +460,15 @@ def test_an_unplanned_shutdown_is_a_warning_with_its_cause(
     assert ["1.1" in text or "2.2" in text for text in posted] == [True, True]
 
 
+def test_lines_of_progress_end_with_the_port(posted, monkeypatch):
+    monkeypatch.setattr(pliant.arm._shutdown, "PROGRESS", 0.0)
+    messages = ExitMessages("left", standing(), None, ports=" (/dev/ttyUSB0)")
+    messages.progress(SimpleNamespace(phase="down"))
+    (text,) = posted
+    assert text.startswith("left: down, tool 0 cm lower, ")
+    assert text.endswith(" s (/dev/ttyUSB0)")
+
+
 def test_the_announcement_tells_how_to_abort(posted):
     messages = ExitMessages("arm", standing(), None)
     for arguments in ({}, {"interrupted": True}, {"abort": "Closing the page leaves"}):

@@ -237,6 +237,26 @@ def test_backend_sim_takes_the_options_of_the_simulator():
         pliant.connect("so101", backend="sim", q=[0.0])
 
 
+def test_an_arm_has_the_name_that_the_user_gave(tmp_path):
+    file = tmp_path / "left.toml"
+    file.write_text(config.loader.builtin_text("so101"))
+    simulated = {"backend": "sim", "handle_signals": False}
+    for source, options, name in (
+        ("so101", {}, "so101"),
+        (file, {}, "left"),
+        (file, {"name": "right"}, "right"),
+        (config.load(file, backend="sim"), {}, "left"),
+    ):
+        kind = simulated if isinstance(source, str | type(file)) else {"handle_signals": False}
+        arm = pliant.connect(source, **kind, **options)
+        assert arm.name == name
+        assert repr(arm).startswith(f"<Arm {name}, ")
+    text = config.loader.parse(config.loader.builtin_text("so101"), backend="sim")
+    assert pliant.connect(text).name == "so101_like"
+    with pytest.raises(TypeError, match=r"name must be a str, got 5 \(int\)"):
+        pliant.connect("so101", name=5, **simulated)
+
+
 def test_the_kind_of_a_simulated_arms_servos_is_an_option_of_the_plant():
     table = pliant.config.load("so101").model().servos.replace(limit_type="current")
     arm = pliant.connect("so101", backend="sim", servos=table, handle_signals=False)

@@ -112,13 +112,11 @@ class ControlThread:
         """
         if self._error is not None:
             raise DeviceNotConnectedError(
-                f"the control loop of {self._arm.model.name} ended: {self._error}; call "
+                f"the control loop of {self._arm.name} ended: {self._error}; call "
                 "disconnect(), then connect() starts again"
             ) from self._error
         if self._snapshot is None:
-            raise DeviceNotConnectedError(
-                f"no tick of {self._arm.model.name} within {START_TIMEOUT:g} s"
-            )
+            raise DeviceNotConnectedError(f"no tick of {self._arm.name} within {START_TIMEOUT:g} s")
         return self._snapshot
 
     def _run(self) -> None:

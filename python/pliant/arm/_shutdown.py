@@ -56,11 +56,14 @@ class ExitMessages:
         name: Name of the arm.
         io: Read and write access to the arm.
         cause: Reason for the shutdown; None if it is planned.
+        ports: Ports of a real arm, in parentheses after a space; they tell apart the arms of a
+            program.
     """
 
-    def __init__(self, name: str, io: ArmIO, cause: str | None) -> None:
+    def __init__(self, name: str, io: ArmIO, cause: str | None, *, ports: str = "") -> None:
         """Store the start time of the shutdown; send no message yet."""
-        self._name, self._io, self._cause = name, io, cause
+        self._short_name, self._ports = name, ports
+        self._name, self._io, self._cause = f"{name}{ports}", io, cause
         is_real = bool(getattr(io.clock, "real_time", False))
         planned = logging.INFO if is_real else logging.DEBUG
         self._level = planned if cause is None else logging.WARNING
@@ -119,9 +122,10 @@ class ExitMessages:
                     logging.WARNING,
                 )
             where = PHASES.get(lowering.phase, lowering.phase)
-            name, *_ = self._name.partition(" (")  # a terminal has no room for ports
+            # The ports come last: a narrow terminal has no room for them.
             MESSAGES.post(
-                f"{name}: {where}, {self._height_change()}, {self._elapsed():.0f} s",
+                f"{self._short_name}: {where}, {self._height_change()}, {self._elapsed():.0f} s"
+                f"{self._ports}",
                 self._detail,
                 progress=True,
             )

@@ -94,9 +94,12 @@ class Arm:
             hangs with torque on. It kills a program that hangs or is stopped. The drive must have
             servos that keep their torque without the program, as `ServoBus` has; other drives get
             no guardian.
+        name: Name of the arm in messages; None: that of the model. `connect` sets it to the name of
+            the built-in arm or of the file.
 
     Attributes:
         model: The robot, with the servo parameters of the drive.
+        name: Name of the arm in messages.
         drive, rate, rest_q, comm_timeout, table: The arguments of the same names.
         detour: Reason why the last lowering skipped the rest pose or gave it up; None if it did
             not.
@@ -126,11 +129,13 @@ class Arm:
         handle_signals: bool = True,
         table: float | None = None,
         guardian: bool = True,
+        name: str | None = None,
     ) -> None:
         """Match the drive's joints with the model's; open no port and move nothing."""
         if on_exit not in {"lower", "leave_enabled"}:
             raise ConfigError(f"on_exit must be 'lower' or 'leave_enabled', got {on_exit!r}")
         self.model, self.drive = model, drive
+        self.name: str = model.name if name is None else instance(name, str, "name")
         self.rate, self.comm_timeout, self._watchdog = times(rate, comm_timeout, watchdog)
         self._on_exit = on_exit
         self._budget = (
@@ -519,14 +524,19 @@ class Arm:
         return [name for name, value in zip(names, values, strict=True) if value]
 
     @property
-    def _label(self) -> str:
-        """Name in messages: that of the model, and the ports of a real arm."""
+    def _ports(self) -> str:
+        """Ports of a real arm in parentheses after a space, for messages; else an empty text."""
         is_real = getattr(self.drive, "outlives_program", False)
         ports = dict.fromkeys(s.port for s in getattr(self.drive, "specs", ()) if is_real)
-        return self.model.name + (f" ({', '.join(ports)})" if ports else "")
+        return f" ({', '.join(ports)})" if ports else ""
+
+    @property
+    def _label(self) -> str:
+        """Name in messages, with the ports of a real arm."""
+        return f"{self.name}{self._ports}"
 
     def _exit_messages(self, cause: str | None) -> ExitMessages:
-        return ExitMessages(self._label, self._io, cause)
+        return ExitMessages(self.name, self._io, cause, ports=self._ports)
 
     def _reachable(self, rest: Array | None) -> Array | None:
         """Return `rest` if the path to it is clear of the table; else set `detour`, return None."""
@@ -553,6 +563,7 @@ class Arm:
             "power_budget": self._budget,
             "grippers": self._gripper_configs,
             "table": self.table,
+            "name": self.name,
         }
         self._guardian.watch(self.drive, arguments)
 
@@ -621,9 +632,9 @@ class Arm:
         self.close()
 
     def __repr__(self) -> str:
-        """Return model name, number of joints and whether the arm is enabled in one line."""
+        """Return name, number of joints and whether the arm is enabled in one line."""
         state = "" if self.enabled else "not "
-        return f"<Arm {self.model.name}, {self.model.n} joints, {state}enabled>"
+        return f"<Arm {self.name}, {self.model.n} joints, {state}enabled>"
 
     def __reduce__(self) -> NoReturn:
         """Refuse to copy and to pickle: two objects would control the same servos.

@@ -136,7 +136,7 @@ def _table(
     tool: Array,
 ) -> Table:
     """Return the live table: tool position, deviation and softness per task axis, joint states."""
-    table = Table(box=SIMPLE_HEAD, pad_edge=False, title=f"{arm.model.name}, {tick.time:.0f} s")
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, title=f"{arm.name}, {tick.time:.0f} s")
     for name in ("axis", "tool", "off by", "softness", "joint", "q", "limit", "of usable", "heat"):
         table.add_column(name, justify="left" if name in {"axis", "joint"} else "right")
     axes = controller.settings.task.names

@@ -53,6 +53,7 @@ class ArmOptions(TypedDict, total=False):
     handle_signals: bool
     guardian: bool
     table: float | bool | None
+    name: str | None
 
 
 class ConnectOptions(ArmOptions, total=False):
@@ -197,6 +198,7 @@ def make_arm(config: Config, **options: Any) -> Arm:
         "rate": config.loop.rate,
         "comm_timeout": config.loop.comm_timeout,
         "table": config.robot.table,
+        "name": config.name,
         "guardian": config.life.guardian,
         # Backend "sim" does not simulate servo currents, so the supply current has no limit.
         "power_budget": Budget(supply=None if config.backend == "sim" else config.supply.current),

@@ -56,8 +56,9 @@ def load(source: str | Path, **overrides: Unpack[Overrides]) -> Config:
             existing port names) are checked only if every single table is valid.
     """
     path = Path(source).expanduser()
-    name = str(source)
+    name = arm = str(source)
     if path.is_file():
+        arm = path.stem
         text, folder, label = _read(path), path.resolve().parent, str(source)
     elif path.suffix != ".toml" and name in list_arms():
         text, folder, label = builtin_text(name), Path.cwd(), f"{name} (ready file)"
@@ -69,7 +70,7 @@ def load(source: str | Path, **overrides: Unpack[Overrides]) -> Config:
         raise ConfigError(
             f"{name!r} is neither a file nor the name of a ready one; {suggest(name, list_arms())}"
         )
-    return parse(text, source=label, folder=folder, **overrides)
+    return parse(text, source=label, folder=folder, **overrides).at(folder, label, arm)
 
 
 def _override(

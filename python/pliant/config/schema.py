@@ -317,9 +317,11 @@ class Config(StrictModel):
     preset: str | dict[str, Any] | None = None
     fields: dict[str, Any] = Field(default_factory=dict, alias="settings")
 
-    #: Folder that relative paths start from, and name of the configuration in error messages.
+    #: Folder that relative paths start from, name of the configuration in error messages, and name
+    #: of the arm in messages.
     _folder: Path = PrivateAttr(default=Path())
     _source: str = PrivateAttr(default="configuration")
+    _name: str | None = PrivateAttr(default=None)
 
     @field_validator("preset", mode="before")
     @classmethod
@@ -346,10 +348,21 @@ class Config(StrictModel):
         """Name of the configuration in error messages, usually the path of its file."""
         return self._source
 
-    def at(self, folder: Path, source: str) -> Self:
-        """Return a copy with relative paths from `folder`, named `source` in error messages."""
+    @property
+    def name(self) -> str | None:
+        """Name of the arm in messages: that of the built-in arm, or of the file without `.toml`.
+
+        None: the configuration is from no file.
+        """
+        return self._name
+
+    def at(self, folder: Path, source: str, name: str | None = None) -> Self:
+        """Return a copy with relative paths from `folder`, named `source` in error messages.
+
+        `name` is the name of the arm in messages; None: that of the model.
+        """
         out = self.model_copy()
-        out._folder, out._source = folder, source
+        out._folder, out._source, out._name = folder, source, name
         return out
 
     def model(self) -> Model:
