@@ -923,14 +923,18 @@ def test_joints_that_may_not_follow_are_silent_alone_hot_or_faulty(io):
     io.read()
     io.drive.silent, io.drive.time = {1, 5}, 100.3
     io.read()
-    assert io.unfit_joints(100.3) == ["shoulder_lift"]
-    assert io.unfit_joints(100.1) == []
+    assert io.unfit_joints(100.3) == {"shoulder_lift": "no answer for 0.2 s"}
+    assert io.unfit_joints(100.1) == {}
     io.drive.silent = set(range(6))  # a dead line: no single joint is at fault
-    assert io.unfit_joints(200.0) == []
+    assert io.unfit_joints(200.0) == {}
     io._store_supply(3, None, 68.0)
     for name in ("elbow_flex", "gripper"):
-        io._update_status(ServoStatus(name, 12.0, 40.0, ("overload",)))
-    assert io.unfit_joints(100.3) == ["shoulder_lift", "elbow_flex", "wrist_flex"]
+        io._update_status(ServoStatus(name, 12.0, 40.0, (f"{name}: overload",)))
+    assert io.unfit_joints(100.3) == {
+        "shoulder_lift": "no answer for 0.2 s",
+        "elbow_flex": "overload",
+        "wrist_flex": "at 68 °C it gets no torque",
+    }
 
 
 def test_the_limit_of_a_servo_counts_where_it_is_below_that_of_the_budget(io):

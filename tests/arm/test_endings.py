@@ -669,7 +669,8 @@ class Descent:
         return ["elbow"]
 
     def unfit_joints(self, now):
-        return ["elbow"] if self.samples == self.unfit else []
+        reasons = {"elbow": "no answer", "wrist": "no answer", "shoulder": "too hot"}
+        return reasons if self.samples == self.unfit else {}
 
     def delay(self, now):
         return 0.0
@@ -743,7 +744,8 @@ def test_the_move_to_the_rest_pose_ends_where_a_joint_may_not_follow(monkeypatch
     with pytest.raises(pliant.ServoFaultError, match="do not take the goals"):
         descend(run, "rest", 100.0, lambda: False, on_detour=reasons.append)
     is_ended = phase == "rest"
-    assert reasons == ["elbow may not follow to the rest pose"] * is_ended
+    told = "elbow, wrist (no answer), shoulder (too hot) may not follow to the rest pose"
+    assert reasons == [told] * is_ended
     assert run.skipped == [4] * is_ended
     assert [made["rest"] for made in run.made] == ["rest", *[None if is_ended else "rest"] * 2]
 

@@ -320,21 +320,27 @@ class ArmIO(ArmCycle):
             found += thermal_faults(self.thermal, names, self._temperature)
         return tuple(found)
 
-    def unfit_joints(self, now: float) -> list[str]:
-        """Return the names of the joints of the chain that may not follow their goals.
+    def unfit_joints(self, now: float) -> dict[str, str]:
+        """Return the joints of the chain that may not follow their goals: reason by name.
 
         They are silent while others answer, report a fault, or are so hot that their torque limit
         is zero.
         """
         is_silent = now - self.positions.time > SILENCE
-        has_fault = self.thermal.temperature >= self.thermal.zero_torque_temperature
+        is_hot = self.thermal.temperature >= self.thermal.zero_torque_temperature
         if is_silent[self.joints.chain].all():
             is_silent[:] = False
-        return [
-            name
-            for i, name in enumerate(self.joints.names)
-            if i in self.joints.chain and (is_silent[i] or has_fault[i] or name in self.reported)
-        ]
+        found = {}
+        for i, name in enumerate(self.joints.names):
+            if i not in self.joints.chain:
+                continue
+            if texts := self.reported.get(name):
+                found[name] = "; ".join(text.removeprefix(f"{name}: ") for text in texts)
+            elif is_silent[i]:
+                found[name] = f"no answer for {SILENCE:g} s"
+            elif is_hot[i]:
+                found[name] = f"at {self._temperature[i]:.0f} °C it gets no torque"
+        return found
 
     def outdated(self) -> Mask:
         """Return the mask (n,) of the joints whose position is unknown or older than `SILENCE`.

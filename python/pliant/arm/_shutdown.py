@@ -15,7 +15,7 @@ from pliant.arm._messages import MESSAGES
 from pliant.arm._signals import name_of, signal_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from pliant._typing import Array, Mask
     from pliant.arm._io import ArmIO
@@ -362,9 +362,9 @@ def descend(
             # Errors of a drive's own code must not keep the arm up either.
             if now - heard > MAX_SILENCE:
                 _end(error)
-        if lowering.phase == "rest" and (names := io.unfit_joints(now)):
+        if lowering.phase == "rest" and (unfit := io.unfit_joints(now)):
             # Without this joint, the others would move along another path, which may lead upward.
-            on_detour(f"{', '.join(names)} may not follow to the rest pose")
+            on_detour(_unfit_text(unfit))
             rest = None
             lowering.skip_rest()
         is_on_way = lowering.phase == "rest"
@@ -413,6 +413,15 @@ def _end(error: Exception) -> NoReturn:
         "the bus is gone while the arm was being lowered: servos that have power keep their last "
         "goal and limit; support the arm before you cut the supply"
     ) from error
+
+
+def _unfit_text(unfit: Mapping[str, str]) -> str:
+    """Return a text about joints that may not follow to the rest pose; `unfit` has the reasons."""
+    names: dict[str, list[str]] = {}
+    for name, reason in unfit.items():
+        names.setdefault(reason, []).append(name)
+    found = [f"{', '.join(joints)} ({reason})" for reason, joints in names.items()]
+    return f"{', '.join(found)} may not follow to the rest pose"
 
 
 def _missed_pose(io: ArmIO, rest: Array | None, lowering: Lowering) -> str | None:
