@@ -589,6 +589,7 @@ def test_joints_with_registers_of_this_program_are_named(posted):
         (ValueError(), "ValueError"),
         (ValueError("x" * 148), f"ValueError: {'x' * 148}"),
         (ValueError("x" * 149), f"ValueError: {'x' * 145}..."),
+        (pliant.ServoError("x" * 300), f"ServoError: {'x' * 300}"),
     ],
 )
 def test_a_shutdown_has_its_cause_in_one_short_line(error, cause):

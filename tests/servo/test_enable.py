@@ -96,7 +96,7 @@ def test_torque_that_could_not_be_switched_off_again_is_reported(kind):
         ) as error:
             servo_bus.enable(goal, 0.5 * servo_bus.servos.max_torque)
         assert bus.servos[0].enabled
-        assert "joint0 did not confirm torque_enable = 0" in str(error.value)
+        assert "joint0, joint1 did not confirm torque_enable = 0" in str(error.value)
 
 
 @pytest.mark.parametrize("kind", ["sts", "xl430", "mx"])

@@ -556,6 +556,23 @@ def test_disable_reaches_all_although_one_is_silent(emulated, enabled):
         assert [s.get("torque_enable") for s in bus.servos] == [1, 0, 0]
 
 
+def test_servos_whose_torque_may_be_on_are_named_first_and_their_cause_once(emulated, enabled):
+    with emulated("sts", 4, clock="steps") as (bus, servo_bus):
+        enabled(servo_bus)
+        for number in (1, 2, 4):
+            bus.faults.inject("deaf", number, count=99)
+        with pytest.raises(ServoError) as error:
+            servo_bus.disable()
+        text = str(error.value)
+        assert text.startswith("torque may still be on: joint0, joint1, joint3 did not confirm")
+        assert text.count("did not confirm") == 1
+    with emulated("sts", 2, clock="steps") as (bus, servo_bus):
+        enabled(servo_bus)
+        bus.pull("main")
+        with pytest.raises(ServoError, match="may still be on: joint0, joint1: the port is gone"):
+            servo_bus.disable()
+
+
 def test_enable_undoes_itself_when_one_servo_does_not_obey(emulated, enabled):
     with emulated("sts", 3, clock="steps") as (bus, servo_bus):
         bus.stick(3, "torque_enable", 0)

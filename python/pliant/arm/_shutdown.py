@@ -10,7 +10,14 @@ from typing import TYPE_CHECKING, NoReturn
 
 import numpy as np
 
-from pliant._core import SUPPORT, Lowering, ServoError, ServoFaultError, torque_margin
+from pliant._core import (
+    SUPPORT,
+    Lowering,
+    PliantError,
+    ServoError,
+    ServoFaultError,
+    torque_margin,
+)
 from pliant.arm._messages import MESSAGES
 from pliant.arm._signals import name_of, signal_of
 
@@ -31,7 +38,7 @@ LONG_DESCENT, REMINDER_PERIOD = 45.0, 60.0
 MIN_RATE = 20.0
 #: Smallest gravity torque with which a message names a joint as loaded [N·m].
 MIN_LOAD = 1e-3
-#: Largest length of an error text in a message [characters].
+#: Largest length of an error text of another library in a message [characters].
 MAX_REASON = 160
 #: Text in progress messages for each phase of a descent.
 PHASES = {
@@ -282,10 +289,17 @@ def exit_cause(error: BaseException | None) -> str | None:
 
 
 def brief(error: BaseException) -> str:
-    """Return type and first line of an exception, cut at `MAX_REASON` characters."""
+    """Return type and first line of an exception, cut at `MAX_REASON` characters.
+
+    Errors of this package are not cut: they name servos and remedies.
+    """
     lines = str(error).strip().splitlines()
     text = f"{type(error).__name__}: {lines[0]}" if lines else type(error).__name__
-    return text if len(text) <= MAX_REASON else f"{text[: MAX_REASON - 3]}..."
+    return (
+        text
+        if isinstance(error, PliantError) or len(text) <= MAX_REASON
+        else f"{text[: MAX_REASON - 3]}..."
+    )
 
 
 #: Factors by which the true stiffness of a servo may be larger or smaller than the assumed one, in

@@ -146,12 +146,14 @@ def enable(
             for device in devices:
                 device.enabled = device.torque_on = True
             raise
-        failures = [text for device in switched if (text := _try_off(device, ports))]
+        failures = _first_names(
+            (device, text) for device in switched if (text := _try_off(device, ports))
+        )
         if not (switched and isinstance(error, ServoError)):
             raise
         lines = [str(error)]
         if is_sent and failures:
-            lines.append(f"{MAY_BE_ON}{'; '.join(failures)}\nsupport the arm and cut the supply")
+            lines.append(f"{MAY_BE_ON}{failures}\nsupport the arm and cut the supply")
         elif is_sent:
             names = ", ".join(device.name for device in switched)
             where = "all joints" if len(switched) == len(devices) else names
@@ -447,11 +449,24 @@ def disable(devices: Sequence[Device], ports: Ports) -> None:
     for device in devices:
         if id(device) in failed:
             if problem := _try_off(device, ports):
-                problems.append(problem)
+                problems.append((device, problem))
         elif device.is_unrestored:
             _try_restore(device, ports)
     if problems:
-        raise ServoError(MAY_BE_ON + "; ".join(problems))
+        raise ServoError(MAY_BE_ON + _first_names(problems))
+
+
+def _first_names(problems: Iterable[tuple[Device, str]]) -> str:
+    """Return one text about servos and their problems: names first, each problem once."""
+    names: dict[str, list[str]] = {}
+    for device, text in problems:
+        names.setdefault(text.removeprefix(device.name), []).append(device.name)
+    # A text that is not about the servo, but about its port, has no name to replace.
+    found = [
+        f"{', '.join(served)}{'' if text.startswith(' ') else ': '}{text}"
+        for text, served in names.items()
+    ]
+    return "; ".join(found)
 
 
 def finish_disable(devices: Sequence[Device], ports: Ports, budget: float) -> None:
@@ -514,7 +529,11 @@ def _try_off(device: Device, ports: Ports) -> str | None:
     except BusError as error:
         return str(error)
     except ServoError as error:
-        return f"{error}{_send_off_blindly(device, ports)}"
+        cause, text = error.__cause__, str(error)
+        if isinstance(cause, BusError) and cause.reason == "timeout":
+            # Without port and id, the texts of servos differ in the name only, see `_first_names`.
+            text = f"{device.name} did not confirm torque_enable = 0: no answer"
+        return f"{text}{_send_off_blindly(device, ports)}"
     device.torque_on = device.torque_unknown = False
     _try_restore(device, ports)
     return None
