@@ -57,6 +57,9 @@ LOWEST = 1.0
 AVERAGE, CHANGE, CHANGE_SHARE = 50, 5e-4, 0.1
 #: Largest delay that the settings of a controller accept [s].
 MAX_DELAY = 0.5
+#: Time before an error of the loop at which the arm counts as held [s]: a servo that restarts has
+#: no torque until the error is raised.
+HELD_TIME = 0.1
 #: Every `WATCHED`-th command is examined; after `FIRST_STEPS` in a row from the first steps of
 #: controllers, the loop warns.
 WATCHED, FIRST_STEPS = 4, 3
@@ -365,6 +368,10 @@ class Loop:
         self._recorder = recorder
         # The present tick; None: the loop has not begun, or has ended.
         self._tick: Tick | None = None
+        # Positions (n,) [rad] at least `HELD_TIME` before the last ones, and those noted last; None
+        # before them.
+        self._held: Array | None = None
+        self._marked: Array | None = None
         # Examined commands in a row that a first step made; None: the loop has warned.
         self._first_steps: int | None = 0
         self._set_controller(controller)
@@ -459,6 +466,12 @@ class Loop:
             ):
                 yield check
             ended = True
+        except ServoError:
+            # Servos may have lost their torque: the arm then falls before its descent.
+            held = self._marked if self._held is None else self._held
+            if held is not None:
+                self._arm._io.held = (self._clock.now(), held)
+            raise
         finally:
             if self._recorder is not None:
                 self._close(self._recorder, raises=ended)
@@ -498,6 +511,8 @@ class Loop:
         last: float | None = None
         first: float | None = None
         tick: Tick | None = None
+        mark = -math.inf
+        self._held = self._marked = None
         with self._exclusive_controller(), self._supervised() as check:
             begin = deadline = clock.now()
             commanded, before, index = begin, begin, 0
@@ -510,6 +525,9 @@ class Loop:
                     raise ServoFaultError("; ".join(state.faults))
                 if state.fresh:
                     time = state.time
+                    if now >= mark:
+                        self._held, self._marked = self._marked, state.q
+                        mark = now + HELD_TIME
                     if last is None or time - last > RESTART:
                         self._restart(state.q, first=last is None, before=tick)
                         last = None

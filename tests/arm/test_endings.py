@@ -426,6 +426,8 @@ def standing(*, gravity=(0.0, 0.0), friction=0.1, up=(0.0, 0.0, 1.0), **clock):
         gravity=lambda: np.asarray(gravity),
         outdated=lambda: np.zeros(2, dtype=bool),
         servos=SimpleNamespace(friction=friction),
+        held=None,
+        last_write=99.0,
     )
 
 
@@ -526,6 +528,18 @@ def test_a_descent_is_measured_against_gravity(posted, up, moved, expected):
     assert ", tool 0 cm lower, 0.0 s" in messages.lowered()
     messages.progress(None)
     arm.q = moved
+    assert f", {expected}, " in messages.lowered()
+
+
+@pytest.mark.parametrize(
+    ("last_write", "expected"), [(99.0, "tool 30 cm lower"), (100.0, "tool 0 cm lower")]
+)
+def test_a_fall_between_the_loop_and_the_descent_counts(posted, last_write, expected):
+    """Unless the program has moved the arm since the loop."""
+    arm = standing()
+    arm.held, arm.last_write = (99.5, np.array([0.0, 0.0, 0.3])), last_write
+    messages = ExitMessages("arm", arm, None)
+    messages.progress(None)
     assert f", {expected}, " in messages.lowered()
 
 

@@ -1,6 +1,7 @@
 """Life cycle of an arm over serial bytes: emulated servos that drive a simulated arm."""
 
 import pickle
+import re
 from contextlib import contextmanager
 
 import numpy as np
@@ -687,6 +688,31 @@ def test_a_supply_that_falls_in_a_loop_is_told_once(monkeypatch):
         assert " was between 4.0 and 7.4 V since torque came on: " in text
         arm.disable_torque()
         arm.close()
+
+
+def test_the_summary_counts_the_fall_after_a_brown_out(monkeypatch):
+    texts = []
+    monkeypatch.setattr(MESSAGES, "post", lambda text, *_, **__: texts.append(text))
+    with arm_over_bytes("sts", HIGH) as (bus, arm):
+        arm.enable()
+        height = bus.plant.tool[2, 3]
+        controller = pliant.Controller(arm.model, pliant.Settings(task="xyz"), arm.servos)
+        target = arm.model.forward_kinematics(arm.read().q)
+
+        def run():
+            for tick in pliant.Loop(arm, controller, duration=3.0):
+                if tick.index == 50:
+                    bus.brown_out()
+                tick.step(target)
+
+        with pytest.raises(pliant.ServoError):
+            run()
+        fallen = height - bus.plant.tool[2, 3]
+        assert fallen > 0.1
+        arm.close()
+        total = height - bus.plant.tool[2, 3]
+    (told,) = re.findall(r"tool (\d+) cm lower", texts[-1])
+    assert int(told) == pytest.approx(100.0 * total, abs=2.0)
 
 
 def test_an_arm_that_has_ended_takes_no_command():

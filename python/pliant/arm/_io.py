@@ -267,6 +267,9 @@ class ArmIO(ArmCycle):
         self._set_supply()
         #: Lowest and highest voltage of each joint (2, N) since `start` [V]; NaN before a reading.
         self.voltage_range: Array = np.full((2, size), np.nan)
+        #: End of the last loop that a `ServoError` ended [s], and positions (n,) [rad] shortly
+        #: before, at which it held the arm; None: no such loop.
+        self.held: tuple[float, Array] | None = None
         # True from the end of torque on until the warning of a sagging supply.
         self._watches_supply = False
         # Last status by joint name.

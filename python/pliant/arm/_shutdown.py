@@ -76,7 +76,11 @@ class ExitMessages:
         self._level = planned if cause is None else logging.WARNING
         self._detail = logging.INFO if is_real else logging.DEBUG
         self._start_time, self._last_progress = io.clock.now(), time.monotonic()
+        # Height at which a loop with an error held the arm, if nothing was sent since; else at the
+        # first progress. Between the two, an arm whose servos restart falls.
         self._start_height: float | None = None
+        if io.held is not None and io.last_write <= io.held[0]:
+            self._start_height = self._height_at(io.held[1])
         self._next_reminder = LONG_DESCENT
         self._abort = "Ctrl-C twice leaves"
         self._known_faults: set[str] | None = None
@@ -254,13 +258,16 @@ class ExitMessages:
         It is unknown while a joint of the chain is silent.
         """
         with contextlib.suppress(Exception):
-            if self._io.outdated().any():
-                return float("nan")
-            model = self._io.model
-            gravity = np.asarray(model.gravity_vector)
-            up = -gravity / max(float(np.linalg.norm(gravity)), 1e-9)
-            return float(np.asarray(model.forward_kinematics(self._io.q))[:3, 3] @ up)
+            if not self._io.outdated().any():
+                return self._height_at(self._io.q)
         return float("nan")
+
+    def _height_at(self, q: Array) -> float:
+        """Return the height of the tool above the base's origin [m] at q (n,) [rad]."""
+        model = self._io.model
+        gravity = np.asarray(model.gravity_vector)
+        up = -gravity / max(float(np.linalg.norm(gravity)), 1e-9)
+        return float(np.asarray(model.forward_kinematics(q))[:3, 3] @ up)
 
     def _height_change(self) -> str:
         height = self._height()
