@@ -25,7 +25,7 @@ from pliant._core import (
 )
 from pliant._processes import check_real_time_priority, real_time_priority
 from pliant._validation import format_value, real
-from pliant.arm._checks import check_same_robot, longest_command_age, vector
+from pliant.arm._checks import check_same_robot, join_faults, longest_command_age, vector
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -522,7 +522,7 @@ class Loop:
                 self.lateness.add(now - deadline)
                 state = arm.read()
                 if state.faults:
-                    raise ServoFaultError("; ".join(state.faults))
+                    raise ServoFaultError(join_faults(state.faults))
                 if state.fresh:
                     time = state.time
                     if now >= mark:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import pliant
-from pliant.arm._checks import check_same_robot
+from pliant.arm._checks import check_same_robot, join_faults
 
 
 def write_for(arm, limit, seconds=0.5):
@@ -204,3 +204,9 @@ def test_a_controller_with_another_tip_mass_or_range_is_accepted(make):
 def test_an_invalid_timeout_is_refused(make, patience):
     with pytest.raises(pliant.ConfigError, match=r"patience must be .*, got"):
         make().supervised(patience)
+
+
+def test_joints_with_the_same_fault_are_named_together():
+    off, low = "its torque went off by itself: look at plug", "supply voltage outside its limits"
+    faults = (f"a: {off}", f"b: {low}", f"c: {off}", f"d (id 4): {low}", "a fault of a drive")
+    assert join_faults(faults) == f"a, c: {off}; b, d (id 4): {low}; a fault of a drive"

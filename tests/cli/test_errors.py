@@ -142,7 +142,9 @@ def test_a_low_voltage_servo_on_12_volts(error_texts):
     with Emulator(servos(1, 2, 3, 4, 5)) as bus:
         bus.supply(12.0)
         texts = error_texts(toml(bus.port))
-    all_say(texts, "its supply is 12.0 V", "STS3215-7.4V takes", "wrong supply", "another variant")
+    all_say(
+        texts, "their supply is 12.0 V", "STS3215-7.4V takes", "wrong supply", "another variant"
+    )
     # The message appears once for all five servos.
     assert texts[0].count("wrong supply") == 1
     assert "shoulder_pan (id 1), shoulder_lift (id 2)" in texts[0]

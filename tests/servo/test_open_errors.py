@@ -80,6 +80,19 @@ def test_a_wrong_supply_is_refused():
             opened(bus, PAN)
 
 
+def test_a_wrong_supply_is_told_once_where_the_servos_measure_it_differently():
+    parts = [Device("STS3215-7.4V", id=number, max_voltage_limit=140) for number in (1, 2)]
+    with Emulator(parts, clock="steps") as bus:
+        bus.supply(12.0)
+        refresh = bus.servos[0].refresh
+        bus.servos[0].refresh = lambda: (refresh(), bus.servos[0].put("present_voltage", 121))
+        with pytest.raises(ServoError) as error:
+            opened(bus, PAN, LIFT)
+    (text,) = str(error.value).splitlines()
+    assert text.startswith("pan (id 1), lift (id 2) on ")
+    assert ": their supply is 12.0 to 12.1 V and STS3215-7.4V takes" in text
+
+
 def test_a_register_that_was_not_read_has_no_value():
     device = driver.Device(ServoSpec(name="pan", model="MX-64", id=1, port=""), 0, 1, 1)
     image = RegisterImage(device, Reply(Block(36, 2), b"\7\1", 0, 0.0))
@@ -278,7 +291,7 @@ def test_a_supply_fits_both_data_sheet_and_eeprom(limits, volts, fits):
             assert opened(bus, spec).found[0].voltage == pytest.approx(volts)
             return
         with pytest.raises(
-            ServoError, match=rf"its supply is {volts} V.*voltage limits in its EEPROM"
+            ServoError, match=rf"its supply is {volts} V.*voltage limits in the EEPROM"
         ):
             opened(bus, spec)
 

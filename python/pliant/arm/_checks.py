@@ -11,7 +11,7 @@ from pliant._core import ConfigError, OutOfRangeError, ShapeError
 from pliant._validation import format_value, number, real
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
 
     from numpy.typing import ArrayLike
 
@@ -180,6 +180,17 @@ def explain_payload(error: PliantError, model: Model, servos: Servos | None) -> 
     return (
         f"to hold its weight with the payload of {payload.mass:g} kg {'; '.join(found)}: no force "
         f"is left for the task in most poses. {CHECK_WEIGHT}"
+    )
+
+
+def join_faults(faults: Iterable[str]) -> str:
+    """Return one text for faults `name: text`, with joints of equal texts named together."""
+    names: dict[str, list[str]] = {}
+    for fault in faults:
+        name, _, text = fault.partition(": ")
+        names.setdefault(text, []).append(name)
+    return "; ".join(
+        ", ".join(joints) + (f": {text}" if text else "") for text, joints in names.items()
     )
 
 

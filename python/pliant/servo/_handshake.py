@@ -17,6 +17,8 @@ from pliant.servo.models import by_number
 from pliant.servo.transport import BusError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from pliant.servo._device import Device
     from pliant.servo._port import Port
     from pliant.servo._transactions import Reply, TransactionGuard
@@ -144,15 +146,23 @@ def identify(port: Port) -> tuple[ServoInfo, ...]:
         errors.insert(0, _missing(port, missing))
     infos = []
     faulty: dict[str, list[str]] = {}
+    unfit: dict[tuple[str, float, float], dict[str, float]] = {}
     for device, image in images:
+        name = f"{device.spec.name} (id {device.id})"
         faults = _check(device, image)
         for text in faults:
-            faulty.setdefault(text, []).append(f"{device.spec.name} (id {device.id})")
-        if not faults:
+            faulty.setdefault(text, []).append(name)
+        low, high = _supply(device, image)
+        has_supply = low <= (volts := image["voltage"] / 10.0) <= high
+        if not has_supply and image["model"] == device.row.model_number:
+            unfit.setdefault((device.row.name, low, high), {})[name] = volts
+        elif not faults:
             try:
                 infos.append(_store_registers(device, image))
             except ServoError as error:
                 errors.append(str(error))
+    for servo, readings in unfit.items():
+        faulty[_supply_error(*servo, list(readings.values()))] = list(readings)
     errors += [f"{', '.join(names)} on {port.path}: {text}" for text, names in faulty.items()]
     if errors:
         raise ServoError("\n".join(errors))
@@ -219,7 +229,10 @@ def _missing(port: Port, missing: list[Device]) -> str:
 
 
 def _check(device: Device, image: RegisterImage) -> list[str]:
-    """Return a text for each obstacle to control of a servo; empty if the servo is usable."""
+    """Return a text for each obstacle to control of a servo; empty if the servo is usable.
+
+    The supply is not checked here: `identify` reports it once for all servos of a model.
+    """
     row = device.row
     number = image["model"]
     if number != row.model_number:
@@ -236,14 +249,6 @@ def _check(device: Device, image: RegisterImage) -> list[str]:
     if image["return_level"] < (1 if device.family.status == "feetech" else 2):
         errors.append(
             "it does not acknowledge writes: `pliant servos setup` sets its Status Return Level"
-        )
-    volts = image["voltage"] / 10.0
-    low, high = _supply(device, image)
-    if not low <= volts <= high:
-        errors.append(
-            f"its supply is {volts:.1f} V and {row.name} takes {low:g} to {high:g} V: wrong "
-            "supply (take the power off), another variant than the configuration says (name it "
-            "there), or wrong voltage limits in its EEPROM (set them with the maker's tool)"
         )
     if not device.family.multi_turn and image["position_min"] > image["position_max"]:
         errors.append("its position limits are reversed: calibrate it again")
@@ -282,6 +287,20 @@ def _supply(device: Device, image: RegisterImage) -> tuple[float, float]:
     lowest, highest = device.row.voltage
     low, high = image["voltage_min"] / 10.0, image["voltage_max"] / 10.0
     return max(low, lowest - 0.5), min(high, highest + 0.5)
+
+
+def _supply_error(model: str, low: float, high: float, volts: Sequence[float]) -> str:
+    """Return the error text for servos of one model that take `low` to `high` [V].
+
+    `volts` are their supply voltages [V].
+    """
+    ends = dict.fromkeys(f"{end(volts):.1f}" for end in (min, max))
+    return (
+        f"{'its' if len(volts) == 1 else 'their'} supply is {' to '.join(ends)} V and {model} "
+        f"takes {low:g} to {high:g} V: wrong supply (take the power off), another variant than the "
+        "configuration says (name it there), or wrong voltage limits in the EEPROM (set them with "
+        "the maker's tool)"
+    )
 
 
 def _check_mode(device: Device, image: RegisterImage) -> list[str]:
