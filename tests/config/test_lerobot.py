@@ -66,5 +66,17 @@ def test_a_range_outside_the_encoder_is_refused(tmp_path, key, count):
     )
     arm_config = pliant.config.parse(text, folder=tmp_path)
     message = rf"shoulder_pan\.{key} is {count}, and positions of STS3215-7\.4V run from 0 to 4095"
-    with pytest.raises(pliant.ConfigError, match=message):
+    with pytest.raises(pliant.ConfigError, match=message) as error:
         zeros(arm_config)
+    assert "degrees" not in str(error.value)
+
+
+def test_a_calibrated_range_in_degrees_is_recognised(tmp_path):
+    motor = {**MOTOR, "range_min": -90, "range_max": 90}
+    (tmp_path / "cal.json").write_text(json.dumps({"shoulder_pan": motor}))
+    text = (
+        'robot.builtin = "so101"\ncalibration = "cal.json"\n[[port]]\npath = "/dev/x"\n[servo]\n'
+        'shoulder_pan = { model = "STS3215-7.4V", id = 1 }\n'
+    )
+    with pytest.raises(pliant.ConfigError, match="or its range is in degrees instead of counts"):
+        zeros(pliant.config.parse(text, folder=tmp_path))

@@ -1,5 +1,6 @@
 """Errors when a servo bus is opened, with their remedies."""
 
+import re
 import time
 from types import SimpleNamespace
 
@@ -106,6 +107,23 @@ def test_a_range_across_the_seam_is_refused():
     text = complaint([Device("STS3215", id=1)], {**PAN, "zero": 100.0})
     assert "across the seam" in text
     assert "mount the horn" in text
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        ({"lower": -90.0, "upper": 57.3}, "these look like degrees: write -1.57 and 1"),
+        ({"lower": 1000.0, "upper": 3000.0}, "these look like counts"),
+        ({"zero": 180.0}, "zero is in counts: if 180 is in degrees, write 2048; else check zero"),
+        ({"zero": 3.0}, "zero is in counts: if 3 is in rad, write 1956; else check zero"),
+        ({"zero": 20.0}, "encoder that ends at 0 and 4095: check zero and sign"),
+    ],
+)
+def test_a_range_in_another_unit_is_recognised(change, expected):
+    text = complaint([Device("STS3215", id=1)], {**PAN, **change})
+    assert "across the seam" in text
+    assert re.search(expected, text)
+    assert ("mount the horn" in text) == ("check zero" in expected)
 
 
 def test_wheel_mode_is_refused():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import inf, isnan, nan
+from math import inf, isnan, nan, pi, radians
 from typing import TYPE_CHECKING, Any
 
 from pliant._core import BusStatus, ServoError
@@ -33,6 +33,8 @@ UNDERVOLTAGE_GRACE = 0.5
 MISMATCH_TIME, MISMATCHES = 0.5, 3
 #: Number of consecutive implausible positions that is reported as a fault.
 MAX_JUMPS = 3
+#: Angle of a turn [rad].
+TURN = 2.0 * pi
 #: Value of the register Bus Watchdog after it has tripped.
 TRIPPED = 255
 SEAM_TEXT = (
@@ -212,10 +214,34 @@ class Device:
             raise ServoError(
                 f"{self.name}: its range of {spec.lower:.2f} to {spec.upper:.2f} rad is counts "
                 f"{low} to {high}, across the seam of an encoder that ends at 0 and "
-                f"{self.row.max_position}: check zero and sign, or mount the horn so that the "
-                "middle of the range is near the middle of the counts"
+                f"{self.row.max_position}: {self._range_remedy(low, high)}"
             )
         self.low, self.high = max(low, self.low), min(high, self.high)
+
+    def _range_remedy(self, low: int, high: int) -> str:
+        """Return the remedy for a range of `low` to `high` [counts] that the encoder lacks.
+
+        Values that are implausible in their unit, and plausible in another, are named.
+        """
+        spec, zero = self.spec, self.spec.zero
+        bounds = [bound for bound in (spec.lower, spec.upper) if bound is not None]
+        largest = max(map(abs, bounds))
+        if largest > 360.0:
+            return "lower and upper are in rad, and these look like counts"
+        if largest > TURN:
+            values = " and ".join(f"{radians(bound):.3g}" for bound in bounds)
+            return f"lower and upper are in rad, and these look like degrees: write {values}"
+        remedy = (
+            "check zero and sign, or mount the horn so that the middle of the range is near the "
+            "middle of the counts"
+        )
+        for unit, turn in (("rad", TURN), ("degrees", 360.0)):
+            if zero and abs(zero) <= turn:
+                count = zero / turn * self.row.counts_per_turn
+                if low + count - zero >= 0.0 and high + count - zero <= self.row.max_position:
+                    given = f"zero is in counts: if {zero:g} is in {unit}, write {count:.0f}"
+                    return f"{given}; else {remedy}"
+        return remedy
 
     @property
     def name(self) -> str:

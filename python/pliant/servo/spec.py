@@ -56,9 +56,12 @@ class Calibration:
         low, high = -margin, row.max_position + margin
         for key in ("range_min", "range_max"):
             if not low <= getattr(self, key) <= high:
+                is_small = max(abs(self.range_min), abs(self.range_max)) <= 360
+                hint = ", or its range is in degrees instead of counts" if is_small else ""
                 raise ConfigError(
                     f"{joint}.{key} is {getattr(self, key)}, and positions of {row.name} run from "
                     f"{low} to {high}: the calibration is of another servo, or was changed by hand"
+                    f"{hint}"
                 )
 
     def registers(self, known: Container[str]) -> dict[str, int]:
