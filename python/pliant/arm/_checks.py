@@ -157,26 +157,33 @@ def posture(model: Model, value: ArrayLike, name: str) -> Array:
     return np.clip(pose, model.lower, model.upper)
 
 
+def setting(error: PliantError) -> str:
+    """Return the key of the setting that a `ConfigError` is about; empty for other errors."""
+    key = error.key if isinstance(error, ConfigError) else None
+    return key or ""
+
+
 def explain_payload(error: PliantError, model: Model, servos: Servos | None) -> str | None:
     """Return the cause of an error of `Controller` if it is a payload that is too heavy, else None.
 
     With a payload in grams or millimetres no force is left for the task. The core then names the
-    first axis without a default strength, which is neither the cause nor the place of the mistake.
+    first axis without a default strength, as key `axes.x`, which is neither the cause nor the place
+    of the mistake.
     """
     payload = model.payload
-    if servos is None or payload is None or "no default strength" not in str(error):
+    if servos is None or payload is None or not setting(error).startswith("axes."):
         return None
     lower = np.where(np.isfinite(model.lower), model.lower, -np.pi)
     upper = np.where(np.isfinite(model.upper), model.upper, np.pi)
     poses = np.random.default_rng(0).uniform(lower, upper, (WEIGHT_POSES, model.n))
-    weight = np.abs(model.gravity_batch(poses)).max(axis=0)
-    usable = np.asarray(servos.max_torque)
+    weights, usable = np.abs(model.gravity_batch(poses)), np.asarray(servos.max_torque)
+    if (weights > usable).any(axis=1).mean() < 0.5:
+        return None
+    weight = weights.max(axis=0)
     found = [
         f"{model.joint_names[i]} needs up to {weight[i]:.3g} N·m, its servo has {usable[i]:.3g} N·m"
         for i in np.flatnonzero(weight > usable)
     ]
-    if not found:
-        return None
     return (
         f"to hold its weight with the payload of {payload.mass:g} kg {'; '.join(found)}: no force "
         f"is left for the task in most poses. {CHECK_WEIGHT}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from pliant._core import ConfigError, Controller
-from pliant.arm._checks import explain_payload
+from pliant.arm._checks import explain_payload, setting
 from pliant.cli._flags import check_duration, check_log, make_recorder
 from pliant.config._soft import apply_soft
 from pliant.loop import Loop
@@ -48,7 +48,7 @@ def check_settings(arm: Arm, settings: Settings) -> None:
     try:
         Controller(arm.model, settings, arm.servos)
     except ConfigError as error:
-        if not str(error).startswith("task."):
+        if not setting(error).startswith("task."):
             cause = explain_payload(error, arm.model, arm.servos)
             if cause is None:
                 raise

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from pliant._core import ArmPoints, Controller, PliantError, ServoError
-from pliant.arm._checks import check_rest, explain_payload, outside, posture
+from pliant.arm._checks import check_rest, explain_payload, outside, posture, setting
 from pliant.config import factory
 from pliant.config.schema import servos, zeros
 from pliant.drive import MonotonicClock
@@ -150,7 +150,7 @@ def _controllable(config: Config, model: Model) -> Iterator[Diagnosis]:
     try:
         Controller(model, settings)
     except PliantError as error:
-        if not str(error).startswith("task."):
+        if not setting(error).startswith("task."):
             yield Diagnosis("bad", "model", _cause(error, model))
             return
         yield Diagnosis(
