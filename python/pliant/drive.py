@@ -34,12 +34,15 @@ class ServoStatus:
         voltage: Supply voltage at the servo [V].
         temperature: Temperature of the servo [°C].
         faults: Faults that the servo reports, one sentence each; empty if healthy.
+        protections: Protections of the servo that have tripped since torque on, also those that a
+            later command has reset, one text each: joint, id, cause.
     """
 
     name: str
     voltage: float | None = None
     temperature: float | None = None
     faults: tuple[str, ...] = ()
+    protections: tuple[str, ...] = ()
 
     def __init__(
         self,
@@ -47,9 +50,16 @@ class ServoStatus:
         voltage: float | None = None,
         temperature: float | None = None,
         faults: tuple[str, ...] = (),
+        protections: tuple[str, ...] = (),
     ) -> None:
         # Faster than the constructor of a frozen dataclass: one call for all.
-        self.__dict__.update(name=name, voltage=voltage, temperature=temperature, faults=faults)
+        self.__dict__.update(
+            name=name,
+            voltage=voltage,
+            temperature=temperature,
+            faults=faults,
+            protections=protections,
+        )
 
 
 class Clock(Protocol):

@@ -690,6 +690,26 @@ def test_a_supply_that_falls_in_a_loop_is_told_once(monkeypatch):
         arm.close()
 
 
+@pytest.mark.parametrize("family", ["sts", "mx"])
+def test_a_trip_that_the_next_command_ends_is_told_once(family, monkeypatch):
+    texts = []
+    monkeypatch.setattr(MESSAGES, "post", lambda text, *_, **__: texts.append(text))
+    with arm_over_bytes(family, LOW) as (bus, arm):
+        arm.enable()
+        controller = pliant.Controller(arm.model, pliant.Settings(task="xyz"), arm.servos)
+        target = arm.model.forward_kinematics(arm.read().q)
+        for tick in pliant.Loop(arm, controller, duration=2.0):
+            tick.step(target)
+            if tick.index in {50, 100}:  # the next reading has it, the goal of that tick resets it
+                bus.trip(3, "overload")
+        told = [text for text in texts if "tripped" in text]
+        assert len(told) == 1, texts
+        assert told[0].startswith("elbow_flex (id 3): overload: the servo's protection tripped")
+        assert "Lower the load" in told[0]
+        arm.disable_torque()
+        arm.close()
+
+
 def test_the_summary_counts_the_fall_after_a_brown_out(monkeypatch):
     texts = []
     monkeypatch.setattr(MESSAGES, "post", lambda text, *_, **__: texts.append(text))

@@ -751,6 +751,32 @@ def test_trips_and_alerts_are_counted_once_each():
         assert device.alerts == alerts
 
 
+@pytest.mark.parametrize(
+    ("model", "bits", "harmless", "causes"),
+    [
+        ("STS3215-7.4V", 1 << 2 | 1 << 5, 0, ["overheating", "overload"]),
+        ("STS3215-7.4V", 1 << 3, 0, ["current too high"]),
+        ("STS3215-7.4V", 1, 0, []),
+        ("MX-64", 1 << 5, 0, ["overload"]),
+        ("MX-64", 1 << 5, 1 << 5, []),  # overload does not reduce its torque
+        ("XM430-W350", 0x80, 0, []),  # latched until a reboot, and thus a fault
+    ],
+)
+def test_protections_that_tripped_since_torque_on_are_known(model, bits, harmless, causes):
+    device = attached(model)
+    device.harmless = harmless
+    reported(device, 1.0, status=bits)  # before torque on
+    device.enabled = False
+    device.enabled = True
+    assert not device.protections
+    reported(device, 1.1, status=bits)
+    reported(device, 1.2, status=0)
+    texts = [f"{device.spec.name} (id {device.id}): {cause}" for cause in causes]
+    assert list(device.protections) == texts
+    device.enabled = True  # is on already
+    assert list(device.protections) == texts
+
+
 def test_overloads_that_leave_the_torque_on_are_no_fault():
     device = attached("XM430-W350")
     overload, heat = 1 << 5, 1 << 2
@@ -784,6 +810,7 @@ def test_the_status_of_a_joint_is_that_of_its_worst_servo(volts, temperatures, e
             other_faults={},
             has_mismatch=False,
             faults=(f"fault {number}",),
+            protections=(),
         )
         for number, (voltage, temperature) in enumerate(zip(volts, temperatures, strict=True))
     ]
@@ -806,6 +833,7 @@ def test_every_register_that_may_be_wrong_is_read_again_in_turn():
         voltage=12.0,
         temperature=30.0,
         faults=(),
+        protections=(),
         conditions=(),
         other_faults={},
         has_mismatch=True,

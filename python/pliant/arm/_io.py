@@ -272,6 +272,8 @@ class ArmIO(ArmCycle):
         self.held: tuple[float, Array] | None = None
         # True from the end of torque on until the warning of a sagging supply.
         self._watches_supply = False
+        # Tripped protections of servos since torque on that the user was told of.
+        self._told_protections: set[str] = set()
         # Last status by joint name.
         self._statuses: dict[str, ServoStatus] = {}
         self.readings = JointReadings(np.full(size, np.nan), np.zeros(size, dtype=bool), 0.0)
@@ -574,6 +576,7 @@ class ArmIO(ArmCycle):
         """
         self.voltage_range.fill(np.nan)
         self._watches_supply = False
+        self._told_protections.clear()
         usable = self._usable[self.joints.chain]
         goals, self.limits = self._in_drive_order(goal, np.minimum(limit, usable))
         self.goals, self.is_sent = goals, True
@@ -628,11 +631,29 @@ class ArmIO(ArmCycle):
         supply = (status.voltage, status.temperature)
         if last is None or supply != (last.voltage, last.temperature):
             self._store_supply(joint, *supply)
+        if status.protections:
+            self._report_protections(status)
         if status.faults:
             self.reported[name] = status.faults
         elif self.reported:
             self.reported.pop(name, None)
         return joint
+
+    def _report_protections(self, status: ServoStatus) -> None:
+        """Warn once of each protection of a servo that tripped while the arm goes on.
+
+        A trip that lasts is a fault, which ends a loop with its own error.
+        """
+        new = [text for text in status.protections if text not in self._told_protections]
+        self._told_protections.update(new)
+        if new and not status.faults:
+            MESSAGES.post(
+                f"{'; '.join(new)}: the servo's protection tripped and reduced its torque until "
+                "the next command; the arm goes on. Lower the load of this joint or its torque "
+                "limits, or end the program and let the servo cool: a trip that lasts ends the "
+                "loop",
+                logging.WARNING,
+            )
 
     def _store_supply(self, index: int, voltage: float | None, temperature: float | None) -> None:
         """Store voltage [V] and temperature [°C] of a joint; None keeps the last value."""

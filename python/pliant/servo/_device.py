@@ -124,6 +124,8 @@ class Device:
         self.min_voltage, self._last_good_voltage = 0.0, 0.0
         self.temperature_limit = inf
         self.alerts = 0
+        # Status bits that were set since torque on.
+        self._status_bits = 0
         self._enabled = self.torque_on = self.torque_unknown = False
         self.is_unrestored = self.is_off_requested = False
         self.voltage: float | None = None
@@ -172,6 +174,8 @@ class Device:
 
     @enabled.setter
     def enabled(self, enabled: bool) -> None:
+        if enabled and not self._enabled:
+            self._status_bits = 0
         self._enabled = enabled
         self.bus_status.torque_changes += 1
         self.bus_status.changes += 1
@@ -255,6 +259,14 @@ class Device:
         if not texts:
             return ()
         return tuple(f"{self.name}: {text}" for text in texts)
+
+    @property
+    def protections(self) -> tuple[str, ...]:
+        """Protections that have tripped since torque on, one text each: joint, id, cause."""
+        if not self._status_bits:
+            return ()
+        causes = status.protections(self.family, self._status_bits)
+        return tuple(f"{self.spec.name} (id {self.id}): {cause}" for cause in causes)
 
     @property
     def position(self) -> float | None:
@@ -390,6 +402,8 @@ class Device:
             # With Protocol 2.0, the status only says that a bit of the error register is set.
             ignored = status.ALERT if self.has_harmless_error else self.harmless
             conditions = status.conditions(self.family, status_byte & ~ignored)
+            if self._enabled:
+                self._status_bits |= status_byte & ~ignored
             self.alerts += bool(set(conditions) - set(self.conditions))
             self.conditions = conditions
         if "voltage" in values:

@@ -812,7 +812,9 @@ class StatusPoller:
         devices = self._joints[joint]
         first = devices[0]
         if len(devices) == 1:
-            return ServoStatus(first.spec.name, first.voltage, first.temperature, first.faults)
+            return ServoStatus(
+                first.spec.name, first.voltage, first.temperature, first.faults, first.protections
+            )
         volts = [d.voltage for d in devices if d.voltage is not None]
         temperatures = [d.temperature for d in devices if d.temperature is not None]
         return ServoStatus(
@@ -820,4 +822,5 @@ class StatusPoller:
             min(volts) if volts else None,
             max(temperatures) if temperatures else None,
             tuple(text for d in devices for text in d.faults),
+            tuple(text for d in devices for text in d.protections),
         )

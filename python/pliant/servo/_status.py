@@ -28,6 +28,8 @@ _FEETECH = {
     3: "current too high: something jams, or the protection current is set too low",
     5: f"{_OVERLOAD}; it now gives its protective torque only, until the next goal",
 }
+#: Causes for which Feetech and Protocol 1.0 servos reduce or switch off their torque.
+_PROTECTIONS = {2: "overheating", 3: "current too high", 5: "overload"}
 _HARDWARE = {
     0: f"{_VOLTAGE}; reboot it to go on",
     2: f"{_HOT}; then reboot it",
@@ -63,6 +65,14 @@ def conditions(family: Family, status: int) -> tuple[str, ...]:
     if status & ALERT:
         return ("a hardware fault is latched (register 70 says which)",)
     return ()
+
+
+def protections(family: Family, status: int) -> tuple[str, ...]:
+    """Return the cause of each protection that has tripped according to a status byte.
+
+    A status of Protocol 2.0 does not name a cause: its register Hardware Error Status does.
+    """
+    return () if family.status == "p2" else _bits(status, _PROTECTIONS)
 
 
 def hardware(value: int) -> tuple[str, ...]:
