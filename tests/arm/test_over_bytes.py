@@ -32,7 +32,16 @@ MORE_FAMILIES = {
 
 @contextmanager
 def arm_over_bytes(
-    family, q, clock="steps", plant=None, *, zero=None, patience=0.1, timing=None, **options
+    family,
+    q,
+    clock="steps",
+    plant=None,
+    *,
+    zero=None,
+    wrong_sign=None,
+    patience=0.1,
+    timing=None,
+    **options,
 ):
     robot, device, model, registers = (FAMILIES | MORE_FAMILIES)[family]
     chain_model = pliant.robots.load(robot)
@@ -46,7 +55,14 @@ def arm_over_bytes(
         chain_model, mounts, q=np.array(q), clock=clock, plant=plant, held=is_held, timing=timing
     ) as bus:
         specs = [
-            ServoSpec(name=n, model=model or device, id=k, port=bus.port, zero=(zero or {}).get(n))
+            ServoSpec(
+                name=n,
+                model=model or device,
+                id=k,
+                port=bus.port,
+                zero=(zero or {}).get(n),
+                sign=-1 if n == wrong_sign else 1,
+            )
             for k, n in enumerate(names, 1)
         ]
         servo_bus = ServoBus(
@@ -634,6 +650,37 @@ def test_joints_that_servos_do_not_carry_are_named(counts, is_told, monkeypatch)
         assert bool(told) is is_told
         arm.disable_torque()
         arm.close()
+
+
+@pytest.mark.parametrize("joint", ["shoulder_lift", "elbow_flex"])
+def test_a_wrong_sign_is_found_as_torque_comes_on(joint):
+    """The arm of the test has the sign +1; with the model's weight it pushes where it should hold.
+
+    It fell onto the table, ran the user's program, and swung over its base to the rest pose.
+    """
+    start, heights = [0.0, -0.6, 0.6, 0.6, 0.0], []
+    table = {"scene": [Tabletop(height=0.0)]}
+    rest = {"rest_q": [0.0, -1.74, 1.57, 0.85, 0.0], "table": 0.0}
+    with arm_over_bytes("sts", start, plant=table, wrong_sign=joint, **rest) as (bus, arm):
+        step = bus.world.physics.step
+
+        def watch(count):
+            step(count)
+            heights.append(bus.plant.tool[2, 3])
+
+        bus.world.physics.step = watch
+        with pytest.raises(pliant.ServoError, match=f"{joint} by 0.1. rad went against the weight"):
+            arm.enable()
+        assert arm.enabled
+        arm.clock.wait_until(arm.clock.now() + 0.5)
+        assert heights[0] - heights[-1] < 0.07  # [m], measured 0.06; 0.1 is the table
+        height = heights[-1]
+        arm.lower()
+        arm.close()
+        bus.world.physics.step = step
+    assert arm.detour.startswith(f"torque did not hold {joint} by -0.1")
+    assert max(heights) < heights[0] + 0.002
+    assert heights[-1] < height
 
 
 @pytest.mark.parametrize("answers", [True, False])

@@ -199,15 +199,10 @@ def full_lead(torque: Array, kp: Array) -> Array:
 
 
 def displacement(io: ArmIO, start_q: Array) -> str | None:
-    """Return a warning about joints far from `start_q` (n,), or None."""
+    """Return which joints torque did not hold near `start_q` (n,), or None."""
     moved = zip(io.model.joint_names, io.q - start_q, strict=True)
     found = [f"{name} by {x:+.2f} rad" for name, x in moved if abs(x) > MAX_DISPLACEMENT]
-    if not found:
-        return None
-    return (
-        f"torque did not hold {', '.join(found)}: signs or zeros are wrong (`pliant servos "
-        "doctor ARM --watch`), or a load is too heavy"
-    )
+    return f"torque did not hold {', '.join(found)}" if found else None
 
 
 def may_lie_on(table: float | None, points: ArmPoints, q: Array) -> bool:

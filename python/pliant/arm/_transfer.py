@@ -94,6 +94,9 @@ STALE, MAX_SILENCE = 0.03, 0.5
 NO_GOALS = 0.08
 #: Assumed time constant with which these goals brake the joints [s].
 BRAKE_TIME = 0.03
+#: Weight over friction of a joint whose direction of motion tells whether its sign is right, and
+#: its motion against the weight [rad] with which the transfer ends.
+CLEAR_WEIGHT, AGAINST_WEIGHT = 3.0, 0.15
 
 
 def transfer_weight(
@@ -117,6 +120,8 @@ def transfer_weight(
     Raises:
         ServoTimeoutError: A joint was silent for 0.5 s; meanwhile the arm got goals and limits that
             hold it at rest.
+        ServoError: A joint has moved against its weight, as with a wrong sign; the arm is held
+            where it is, with all torque.
     """
     return _WeightTransfer(io, points, start_q, taken, rate).run()
 
@@ -234,6 +239,12 @@ class _WeightTransfer:
         carried = self._taken.all() or self._io.servos.stiffness_known
         try:
             return self._shrink(self._weight if carried else self._balance())
+        except _AgainstWeightError as error:
+            # The weight of the model has the wrong sign there: no lead and all torque hold best.
+            lead = np.where(error.joints, 0.0, self._weight / self._kp)
+            with suppress(ServoError):
+                self._io.send(self._io.q + lead, self._usable)
+            raise ServoError(str(error)) from None
         except BaseException:
             # A descent follows, and starts from the goals last sent.
             with suppress(ServoError):
@@ -285,6 +296,7 @@ class _WeightTransfer:
                 f"the torque of {', '.join(names)} went off again while torque came on: look at "
                 "plug and power supply"
             )
+        self._check_direction()
         # Encoder steps may be coarser than assumed.
         change = np.abs(io.q - before)
         change = np.where(change > MIN_CHANGE, change, np.inf)
@@ -297,6 +309,18 @@ class _WeightTransfer:
         # A slow bus lengthens the period; a long silence must not, so bound it.
         self._period += PERIOD_SHARE * (min(dt, MAX_PERIOD) - self._period)
         return dt
+
+    def _check_direction(self) -> None:
+        """Check that no joint has moved far against its weight.
+
+        Raises:
+            _AgainstWeightError: Joints have.
+        """
+        is_clear = self._follows & (np.abs(self._weight) > CLEAR_WEIGHT * self._friction)
+        risen = (self._io.q - self._start) * np.sign(self._weight)
+        against = is_clear & (risen > AGAINST_WEIGHT)
+        if against.any():
+            raise _AgainstWeightError(self._io, against, risen)
 
     def _control(self) -> Array:
         """Return the torques (n,) [N·m] that bring the joints to rest at their first positions."""
@@ -448,6 +472,20 @@ class _WeightTransfer:
                 break
         io.ramp_limits(limit)
         return np.where(np.isfinite(found) & ~late, io.goal - io.q, np.nan)
+
+
+class _AgainstWeightError(Exception):
+    """Joints have moved against their weight: mask `joints` (n,)."""
+
+    def __init__(self, io: ArmIO, joints: Mask, risen: Array) -> None:
+        names = io.model.joint_names
+        found = [f"{names[i]} by {risen[i]:.2f} rad" for i in np.flatnonzero(joints)]
+        super().__init__(
+            f"as torque came on, {', '.join(found)} went against the weight of the model: the sign "
+            "or zero of the servo is wrong (`pliant servos doctor ARM --watch` shows the direction "
+            "of each joint), or a hand lifted the arm"
+        )
+        self.joints = joints
 
 
 def _joint_names(io: ArmIO, joints: Mask) -> str:

@@ -164,6 +164,8 @@ class Arm:
             check_rest(self.model, self._points, self.rest_q, self.table)
         self._opened = False
         self.leads: Array = np.full(model.n, np.nan)
+        #: Joints that torque did not hold when it came on, as a text; None if there is none.
+        self._displacement: str | None = None
         # Positions at which the leads were measured (n,) [rad].
         self._leads_q: Array = np.zeros(model.n)
 
@@ -208,7 +210,9 @@ class Arm:
             ServoError: Before anything is sent: a joint reads outside its limits, its gravity
                 torque is more than twice the usable torque of its servo, or the bus is too slow
                 for `rate`. Afterwards: joints moved when torque came on, did not confirm, or lost
-                their torque again, as a servo that restarts does; the others keep theirs then.
+                their torque again, as a servo that restarts does; the others keep theirs then. Or
+                a joint moved against its weight by more than 0.15 rad, as with a wrong sign; the
+                arm is `enabled` then and holds with all torque.
         """
         with self._supervisor.exclusive():
             if not self.enabled:
@@ -262,14 +266,21 @@ class Arm:
                 self._is_unfinished, self._is_left_on = former
                 self._release()
             raise
-        self.leads = transfer_weight(io, self._points, start_q, carried, self.rate)
+        try:
+            self.leads = transfer_weight(io, self._points, start_q, carried, self.rate)
+        finally:
+            self._displacement = displacement(io, start_q)
         self._leads_q = io.q.copy()
         is_supported = may_lie_on(self.table, self._points, io.q)
         # A sagging supply changes the leads as wrong servo parameters do: report only the sag.
         mismatch = io.watch_supply() or stiffness_mismatch(
             io, self.leads, is_supported=is_supported
         )
-        for text in filter(None, (displacement(io, start_q), mismatch)):
+        displaced = self._displacement and (
+            f"{self._displacement}: signs or zeros are wrong (`pliant servos doctor ARM --watch`), "
+            "or a load is too heavy"
+        )
+        for text in filter(None, (displaced, mismatch)):
             MESSAGES.post(text, logging.WARNING)
         self._set_watchdog()
         self._supervisor.heartbeat[1] = 0.0
@@ -539,11 +550,17 @@ class Arm:
         return ExitMessages(self.name, self._io, cause, ports=self._ports)
 
     def _reachable(self, rest: Array | None) -> Array | None:
-        """Return `rest` if the path to it is clear of the table; else set `detour`, return None."""
+        """Return `rest` if the path to it is safe; else set `detour`, and return None.
+
+        It is if it is clear of the table, and torque held all joints when it came on: otherwise a
+        sign or zero may be wrong, and the real arm would take another path.
+        """
         self.detour = None
         if rest is None:
             return None
-        self.detour = path_obstacle(self.model, self._points, self._io.q, rest, self.table)
+        self.detour = self._displacement or path_obstacle(
+            self.model, self._points, self._io.q, rest, self.table
+        )
         return rest if self.detour is None else None
 
     def _start_guardian(self) -> None:
