@@ -52,8 +52,12 @@ impl Svd {
             return None;
         }
         let lengths: Vec<f64> = b.column_iter().map(|column| column.norm()).collect();
-        let mut order: Vec<usize> = (0..n).collect();
-        order.sort_unstable_by(|&i, &j| lengths[j].total_cmp(&lengths[i]).then(i.cmp(&j)));
+        // Insertion: there are few columns, and a sort of the standard library takes 8 kB of code.
+        let mut order: Vec<usize> = Vec::with_capacity(n);
+        for i in 0..n {
+            let at = order.partition_point(|&before| lengths[before].total_cmp(&lengths[i]).is_ge());
+            order.insert(at, i);
+        }
         let unit = |i: usize| if lengths[i] > 0.0 { 1.0 / lengths[i] } else { 0.0 };
         Some(Self {
             u: DMatrix::from_fn(m.nrows(), n, |r, c| b[(r, order[c])] * unit(order[c])),

@@ -253,17 +253,15 @@ impl Model {
 
 /// Returns the default tip, the only link below the base that has no child; an error if there are several.
 fn only_tip(tree: &Tree, base: usize) -> Result<usize> {
-    let (mut leaves, mut stack) = (Vec::new(), vec![base]);
+    let (mut is_leaf, mut stack) = (vec![false; tree.links.len()], vec![base]);
     while let Some(link) = stack.pop() {
-        if tree.children[link].is_empty() {
-            leaves.push(link);
-        }
+        is_leaf[link] = tree.children[link].is_empty();
         stack.extend(tree.children[link].iter().map(|&j| tree.joints[j].child));
     }
+    let leaves: Vec<usize> = (0..is_leaf.len()).filter(|&link| is_leaf[link]).collect();
     if let [tip] = leaves[..] {
         return Ok(tip);
     }
-    leaves.sort_unstable();
     let ends = some(leaves.iter().map(|&l| tree.links[l].name.as_str()));
     let frames = some(tree.links.iter().map(|link| link.name.as_str()));
     Err(Error::config(
