@@ -181,10 +181,8 @@ def test_identify_servos_prints_a_table_for_the_file(so101, capsys):
     assert servo["shoulder_pan"] | {"id": 1, "gain": 16, "sign": -1} == servo["shoulder_pan"]
 
 
-@pytest.mark.parametrize("unsure", [[], ["wrist_roll"], ["shoulder_pan", "wrist_roll"]])
-def test_only_an_identified_stiffness_is_written(so101, monkeypatch, unsure):
-    own = config.load(str(so101))
-    model = own.model()
+def make_identification(model, unsure=()):
+    """Return an identification in which k_p is 1.2 times assumed, and unknown for `unsure`."""
     names, kp = model.joint_names, 1.2 * np.asarray(model.servos.kp)
     sigma = np.where(np.isin(names, unsure), 0.3, 0.02) * kp
     zeros = np.zeros(model.n)
@@ -203,7 +201,55 @@ def test_only_an_identified_stiffness_is_written(so101, monkeypatch, unsure):
         rows=100,
     )
     rig = Excitation(model, model.servos, 0.01)
-    found = Identification.of(rig, zeros, solution, Delay(0.01, 0.001, zeros))
+    return Identification.of(rig, zeros, solution, Delay(0.01, 0.001, zeros))
+
+
+def parse_servo_lines(*arguments):
+    """Return the table [servo] that `pliant identify` prints for these arguments, parsed."""
+    return tomllib.loads("\n".join(_servo_lines(*arguments)))["servo"]
+
+
+@pytest.mark.parametrize("name", ["Revolute 2", "a.b", 'a "name"', "Gelenk ä", "back\\slash"])
+def test_the_servo_lines_are_toml_for_every_joint_name(so101, name):
+    own = config.load(str(so101))
+    found = make_identification(own.model())
+    entries = {name: own.servo["shoulder_pan"]}
+    renamed = own.model_copy(
+        update={"servo": entries | {n: own.servo[n] for n in found.joint_names[1:]}}
+    )
+    found = replace(found, joint_names=(name, *found.joint_names[1:]))
+    assert parse_servo_lines(renamed, found, {})[name]["id"] == 1
+
+
+def test_the_servo_lines_have_the_gain_of_a_measured_stiffness(so101):
+    own = config.load(str(so101))
+    unset = {n: servo.model_copy(update={"gain": None}) for n, servo in own.servo.items()}
+    unset["elbow_flex"] = unset["elbow_flex"].model_copy(update={"model": "XL430-W250"})
+    own = own.model_copy(update={"servo": unset})
+    found = make_identification(config.load(str(so101)).model())
+    # Without a bus, a Feetech servo has the maker's gain. The file has no gain for a Dynamixel.
+    for gains, expected in (({}, 32), (dict.fromkeys(found.joint_names, 16), 16)):
+        servo = parse_servo_lines(own, found, gains)
+        assert servo.pop("elbow_flex").get("gain") is None
+        assert {entry["gain"] for entry in servo.values()} == {expected}
+
+
+def test_a_stiffness_of_the_file_that_is_not_measured_keeps_its_gain(so101):
+    own = config.load(str(so101))
+    entry = own.servo["wrist_roll"].model_copy(update={"kp": 6.6, "gain": 16})
+    own = own.model_copy(update={"servo": {**own.servo, "wrist_roll": entry}})
+    found = make_identification(own.model(), ["wrist_roll"])
+    servo = parse_servo_lines(own, found, dict.fromkeys(found.joint_names, 32))
+    assert (servo["wrist_roll"]["kp"], servo["wrist_roll"]["gain"]) == (6.6, 16)
+    assert servo["elbow_flex"]["gain"] == 32
+
+
+@pytest.mark.parametrize("unsure", [[], ["wrist_roll"], ["shoulder_pan", "wrist_roll"]])
+def test_only_an_identified_stiffness_is_written(so101, unsure):
+    own = config.load(str(so101))
+    model = own.model()
+    names, kp = model.joint_names, 1.2 * np.asarray(model.servos.kp)
+    found = make_identification(model, unsure)
     assert found.servos.stiffness_known is (not unsure)
     gains = dict.fromkeys(names, 32)
     disturbed = _servo_lines(own, replace(found, residual_ratio=2.1), {})

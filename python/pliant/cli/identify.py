@@ -13,7 +13,9 @@ from pliant.cli._console import Console, print_line
 from pliant.cli._flags import ArmName, ConfigFlags, File
 from pliant.cli._measurements import Measurements, height_error
 from pliant.config import connect
+from pliant.config._toml import toml_key, toml_string
 from pliant.identify.result import MAX_RESIDUAL_RATIO
+from pliant.servo import get_model
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -118,8 +120,9 @@ def _servo_lines(
 ) -> list[str]:
     """Return TOML lines for the table [servo]: measured stiffness, friction and damping.
 
-    A joint whose stiffness is not identified keeps its `kp`. `gains` maps joint names to the gain
-    registers as read from the servos.
+    A joint whose stiffness is not identified keeps the `kp` of the file, with the `gain` that it
+    belongs to. `gains` maps joint names to the gain registers as read from the servos; without an
+    entry, the servo has the gain of the file, or the maker's.
     """
     if not arm_config.servo:
         return ["", "# the file has no table [servo]: the built-in servos cannot be changed"]
@@ -129,13 +132,16 @@ def _servo_lines(
     lines = ["", "# in place of the lines of these joints:", "[servo]"]
     for i, joint in enumerate(identification.joint_names):
         entry = arm_config.servo[joint].model_dump(exclude_unset=True)
-        if "gain" in entry:
-            entry["gain"] = gains.get(joint, entry["gain"])
+        row = get_model(arm_config.servo[joint].model)
+        gain = gains.get(joint, entry.get("gain") or row.gain_default)
         if known[i]:
             entry["kp"] = float(identification.servos.kp[i])
+        # Other servos than Feetech's start with the maker's gain, and the file has none for them.
+        if row.family.status == "feetech" and (known[i] or ("gain" in entry and "kp" not in entry)):
+            entry["gain"] = gain
         entry["friction"] = float(identification.friction[i])
         entry["damping"] = float(identification.servos.damping[i])
-        lines.append(f"{joint} = {_toml(entry)}")
+        lines.append(f"{toml_key(joint)} = {_toml(entry)}")
     if not known.all():
         unknown = [name for i, name in enumerate(identification.joint_names) if not known[i]]
         lines.append(f"# kp of {', '.join(unknown)} is not known within 10 %, and unchanged here")
@@ -169,12 +175,14 @@ def _gravity_lines(capture: identify.GravityCapture) -> list[str]:
 def _toml(value: Any) -> str:
     """Return a value as TOML on one line, with rounded numbers."""
     if isinstance(value, dict):
-        entries = (f"{key} = {_toml(each)}" for key, each in value.items() if each is not None)
+        entries = (
+            f"{toml_key(key)} = {_toml(each)}" for key, each in value.items() if each is not None
+        )
         return f"{{ {', '.join(entries)} }}"
     if isinstance(value, list | tuple):
         return f"[{', '.join(map(_toml, value))}]"
     if isinstance(value, str):
-        return f'"{value}"'
+        return toml_string(value)
     if isinstance(value, float):
         return repr(float(f"{value:.{SIGNIFICANT_DIGITS}g}"))
     return str(value).lower() if isinstance(value, bool) else str(value)

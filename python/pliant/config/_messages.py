@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any, get_args
 
 from pydantic import BaseModel
 
+from pliant.config._toml import toml_key
+
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
@@ -87,7 +89,10 @@ def _without_none(kind: Any) -> Any:
 def _path(location: Sequence[int | str]) -> str:
     out = ""
     for step in location:
-        out += f"[{step}]" if isinstance(step, int) else f"{'.' if out else ''}{step}"
+        if isinstance(step, int):
+            out += f"[{step}]"
+        else:
+            out += f"{'.' if out else ''}{toml_key(step)}"
     return out
 
 

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import os
-import re
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +14,7 @@ import numpy as np
 from pliant._core import ArmPoints, Controller, PliantError, ServoError
 from pliant.arm._checks import check_rest, explain_payload, outside, posture, setting
 from pliant.config import factory
+from pliant.config._toml import toml_key
 from pliant.config.schema import servos, zeros
 from pliant.drive import MonotonicClock
 from pliant.loop import LatenessHistogram
@@ -132,15 +131,13 @@ def _limits(model: Model) -> Iterator[Diagnosis]:
     is_bounded = np.isfinite(model.lower) & np.isfinite(model.upper)
     names = [model.joint_names[i] for i in np.flatnonzero(~is_bounded)]
     if names:
-        # A name with a space or another special character is in quotes in TOML.
-        key = names[0] if re.fullmatch(r"[\w-]+", names[0], re.ASCII) else json.dumps(names[0])
         yield Diagnosis(
             "note",
             "limits",
             f"{', '.join(names)}: no position limits, so the controller and a check before torque "
             "comes on accept every position, also where the arm meets itself or pulls its cables. "
-            f"Give `limits = {{ {key} = [LOWER, UPPER] }}` [rad] in [robot], or both `lower` and "
-            "`upper` [rad] of the servo",
+            f"Give `limits = {{ {toml_key(names[0])} = [LOWER, UPPER] }}` [rad] in [robot], or "
+            "both `lower` and `upper` [rad] of the servo",
         )
 
 

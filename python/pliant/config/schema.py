@@ -26,6 +26,7 @@ from pliant._servo_tables import take
 from pliant.arm._checks import MAX_COMM_TIMEOUT, MAX_TABLE_HEIGHT
 from pliant.config._messages import suggest
 from pliant.config._settings_table import check_preset, resolve
+from pliant.config._toml import toml_key
 from pliant.config.lerobot import read_calibration
 from pliant.servo._transactions import MAX_REPLY_TIMEOUT_MIN
 from pliant.servo.models import get_model
@@ -455,7 +456,8 @@ def _ports(config: Config) -> list[str]:
     out = [f"port {name!r} is there twice" for name in sorted(set(names)) if names.count(name) > 1]
     for joint, servo in servos(config).items():
         if servo.port not in names:
-            out.append(f"servo.{joint}.port: no port {servo.port!r}; {suggest(servo.port, names)}")
+            remedy = suggest(servo.port, names)
+            out.append(f"servo.{toml_key(joint)}.port: no port {servo.port!r}; {remedy}")
     return out
 
 
@@ -468,8 +470,8 @@ def _ids(config: Config) -> list[str]:
             other = owners.setdefault((servo.port, number), joint)
             if other != joint or ids.count(number) > 1:
                 out.append(
-                    f"servo.{joint} and servo.{other} have the same id {number} on port "
-                    f"{servo.port!r}; every servo on a port needs an id of its own"
+                    f"servo.{toml_key(joint)} and servo.{toml_key(other)} have the same id "
+                    f"{number} on port {servo.port!r}; every servo on a port needs an id of its own"
                 )
     return list(dict.fromkeys(out))
 
@@ -600,11 +602,12 @@ def _software_limits(config: Config, model: Model) -> dict[str, tuple[float, flo
         lower = lowest if servo.lower is None else max(lowest, servo.lower)
         upper = highest if servo.upper is None else min(highest, servo.upper)
         if not lower < upper:
+            key = toml_key(joint)
             bounds = [bound for bound in (servo.lower, servo.upper) if bound is not None]
             raise ConfigError(
-                f"servo.{joint}: lower and upper, here {', '.join(f'{b:g}' for b in bounds)} rad, "
+                f"servo.{key}: lower and upper, here {', '.join(f'{b:g}' for b in bounds)} rad, "
                 f"leave no range within {lowest:g} to {highest:g} rad, the limits of the model; "
-                f"lower is below upper, and robot.limits.{joint} replaces those of the model"
+                f"lower is below upper, and robot.limits.{key} replaces those of the model"
             )
         out[joint] = (lower, upper)
     return out
