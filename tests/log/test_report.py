@@ -77,6 +77,34 @@ def test_forces_do_not_depend_on_where_the_loop_started_anew(run):
     assert len(steps) - len(priming_steps) == len(log)
 
 
+@pytest.mark.parametrize(("arm", "rate"), [("arm7", 10.0), ("so101", 100.0), ("koch", 10.0)])
+def test_forces_are_shown_where_a_loop_starts_with_several_steps(tmp_path, arm, rate):
+    """With an unknown stiffness, a loop repeats its step before the first tick."""
+    path, settings = tmp_path / "run.mcap", pliant.Settings(task="xyz", rate=rate)
+    with pliant.connect(arm, backend="sim", rate=rate) as live:
+        controller = pliant.Controller(live.model, settings, live.servos)
+        pose = live.model.forward_kinematics(live.read().q)
+        for tick in pliant.Loop(live, controller, duration=1.0, recorder=Recorder(path)):
+            tick.step(pose)
+    log = read(path)
+    priming_steps = force_estimates._priming_steps(log)
+    assert len(priming_steps) > 1 or arm == "arm7"
+    assert sum(call.what == "step" for call in log.calls) - len(priming_steps) == len(log) > 5
+    assert np.isfinite(force_estimates.estimate_forces(log).force).all()
+
+
+def test_forces_are_not_shown_where_a_tick_has_two_steps(tmp_path):
+    path = tmp_path / "run.mcap"
+    with pliant.connect("so101", backend="sim") as live:
+        controller = pliant.Controller(live.model, pliant.Settings(task="xyz"), live.servos)
+        pose = live.model.forward_kinematics(live.read().q)
+        loop = pliant.Loop(live, controller, duration=0.2, recorder=Recorder(path))
+        for tick in loop:
+            loop.controller.step(tick.q, pose, dt=tick.dt)
+            tick.step(pose)
+    assert force_estimates.estimate_forces(read(path)) is None
+
+
 @pytest.mark.parametrize(
     ("settings", "says"),
     [

@@ -99,11 +99,16 @@ def estimate_forces(log: Log) -> ForceEstimates | None:
 def _priming_steps(log: Log) -> set[int]:
     """Return the sequence numbers of controller steps that belong to no tick of the loop.
 
-    After a reset, a loop makes one long step with `dt = PRIME`, whose command is not sent.
+    After a reset, a loop makes one or more long steps, whose commands are not sent, until the goals
+    have the lead that holds the arm. They have `dt = PRIME` and a zero gradient, which tells them
+    from the first tick of a loop with this period.
     """
-    pairs = zip(log.calls, log.calls[1:], strict=False)
-    return {
-        after.sequence
-        for call, after in pairs
-        if call.what == "reset" and after.what == "step" and after.dt == PRIME
-    }
+    out: set[int] = set()
+    follows_reset = False
+    for call in log.calls:
+        is_priming = call.what == "step" and call.dt == PRIME and len(call.gradient) > 0
+        is_priming = is_priming and not np.any(call.gradient)
+        follows_reset = call.what == "reset" or (follows_reset and is_priming)
+        if follows_reset and is_priming:
+            out.add(call.sequence)
+    return out
