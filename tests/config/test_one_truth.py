@@ -96,6 +96,92 @@ def test_the_arm_assumes_the_same_servos_on_every_backend(name, tmp_path):
     assert simulated.stiffness_known == (name == "koch by its URDF")
 
 
+SERVO = """
+robot.builtin = "so101"
+backend = "emulator"
+supply.voltage = 7.0
+[servo]
+shoulder_pan = {{ {model}, id = 1, kp = 6.6, friction = 0.10, damping = 0.21, gain = 16 }}
+shoulder_lift = {{ {model}, id = 2, kp = 6.2, friction = 0.12, sign = -1 }}
+elbow_flex = {{ {model}, id = 3, kp = 9.0, damping = 0.3, gear_ratio = 2.0 }}
+wrist_flex = {{ {model}, id = 4, kp = 5.5, friction = 0.0, secondary = {{ id = 7 }} }}
+wrist_roll = {{ {model}, id = 5 }}
+[gripper]
+servo = {{ {model}, id = 6, kp = 4.0, friction = 0.05 }}
+"""
+
+
+def emulated_joints(arm_config, p_gain=None):
+    """Return stiffness, friction and damping of the gears of the emulated joints, by joint name."""
+    bus = make_emulator(arm_config, clock="steps")
+    for servo in bus.servos:
+        if p_gain is not None:
+            servo.put(servo.gain_register, p_gain)
+        servo.put("torque_enable", 1)
+    bus.world.advance(0.01)
+    model, out = bus.plant.mj_model, {}
+    for mount in factory.make_mounts(arm_config):
+        dof = int(model.joint(mount.joint).dofadr[0])
+        slope = bus.servo(mount.id).model.motor.slope * mount.gear_ratio**2 * len(mount.ids)
+        out[mount.joint] = (
+            float(model.actuator(mount.joint).gainprm[0]),
+            float(model.dof_frictionloss[dof]),
+            float(model.dof_damping[dof]) - slope,
+        )
+    return out
+
+
+@pytest.mark.parametrize("model", ["STS3215-7.4V", "XL430-W250", "XL330-M288", "EX-106+"])
+def test_the_emulated_servos_have_the_parameters_of_the_file(model):
+    text = SERVO.format(model=f'model = "{model}"')
+    if model != "STS3215-7.4V":
+        text = text.replace(", gain = 16", "").replace("supply.voltage = 7.0\n", "")
+    has_current_limits = model == "XL330-M288"
+    arm_config = config.parse(text)
+    joints = emulated_joints(arm_config)
+    kp = {"shoulder_pan": 6.6, "shoulder_lift": 6.2, "elbow_flex": 9.0, "wrist_flex": 5.5}
+    for joint, value in (kp | {"gripper": 4.0}).items():
+        assert joints[joint][0] == pytest.approx(value), joint
+    friction = {"shoulder_pan": 0.10, "shoulder_lift": 0.12, "wrist_flex": 0.0, "gripper": 0.05}
+    for joint, value in friction.items():
+        assert joints[joint][1] == value, joint
+    if not has_current_limits:  # whose back-EMF is part of the current loop
+        assert joints["shoulder_pan"][2] == pytest.approx(0.21)
+        assert joints["elbow_flex"][2] == pytest.approx(0.3)
+    # A joint without values in the file has those of the emulated model.
+    plain = emulated_joints(
+        config.parse(f"""
+robot.builtin = "so101"
+backend = "emulator"
+{"supply.voltage = 7.0" if model == "STS3215-7.4V" else ""}
+[servo]
+{chr(10).join(f'{n} = {{ model = "{model}", id = {k} }}' for k, n in enumerate(kp, 1))}
+wrist_roll = {{ model = "{model}", id = 5 }}
+""")
+    )
+    assert joints["wrist_roll"] == pytest.approx(plain["wrist_roll"])
+
+
+def test_the_emulated_stiffness_follows_the_gain_register():
+    arm_config = config.parse(SERVO.format(model='model = "STS3215-7.4V"'))
+    joints = emulated_joints(arm_config, p_gain=8)
+    # The file has k_p at gain 16, or at the maker's gain of 32.
+    assert joints["shoulder_pan"][0] == pytest.approx(3.3)
+    assert joints["shoulder_lift"][0] == pytest.approx(6.2 / 4.0)
+
+
+def test_a_damping_that_includes_the_back_emf_is_emulated_once():
+    """In a chain with current limits, the damping of PWM-limited joints includes the back-EMF."""
+    arm_config = config.load("koch", backend="emulator")
+    assert arm_config.servo["shoulder_pan"].model == "XL430-W250"
+    assert arm_config.model().servos.limit_type == "current"
+    servo = arm_config.servo["shoulder_pan"].model_copy(update={"damping": 1.0})
+    changed = arm_config.model_copy(update={"servo": arm_config.servo | {"shoulder_pan": servo}})
+    mounts = {mount.joint: mount for mount in factory.make_mounts(changed)}
+    slope = make_emulator(changed, clock="steps").servo(1).model.motor.slope
+    assert mounts["shoulder_pan"].damping == pytest.approx(1.0 - slope)
+
+
 def test_options_of_the_plant_do_not_change_the_assumptions():
     table = config.load("so101").model().servos
     options = {"backend": "sim", "handle_signals": False}

@@ -452,7 +452,9 @@ def make_emulator(config: Config, *, q: ArrayLike | None = None, **options: Any)
     """Create an emulator of the arm of a configuration; it is not started yet.
 
     The arm stands on the configuration's table, and is held in place until torque is switched on.
-    The supply has the configuration's voltage, the servos on a port have its baud rate.
+    The supply has the configuration's voltage, the servos on a port have its baud rate. `kp`,
+    `friction` and `damping` of the file are those of the emulated joints; stall torque and speed
+    are those of the emulated servo models.
 
     Args:
         config: The configuration.
@@ -478,6 +480,8 @@ def make_mounts(config: Config) -> list[Mount]:
     from pliant.emulator import Mount
 
     counts, entries = zeros(config), calibrations(config)
+    rows = [get_model(servo.model) for servo in servos(config).values()]
+    has_current_limits = any(row.limit_type == "current" for row in rows)
     out = []
     for joint, servo in servos(config).items():
         zero = counts[joint]
@@ -494,9 +498,31 @@ def make_mounts(config: Config) -> list[Mount]:
                 else (servo.secondary.id, servo.secondary.sign),
                 port=servo.port,
                 registers=_as_set_up(servo) | _calibrated(entries.get(joint), servo),
+                kp=servo.kp,
+                gain=servo.gain,
+                voltage=config.supply.voltage,
+                friction=servo.friction,
+                damping=_gear_damping(servo, with_back_emf=has_current_limits),
             )
         )
     return out
+
+
+def _gear_damping(servo: Servo, *, with_back_emf: bool) -> float | None:
+    """Return the damping of the gears alone [N·m·s/rad]; None: the file has none.
+
+    In a chain with current limits, the damping of a PWM-limited joint includes its back-EMF
+    (`servos_from_units`), which the emulator adds by itself.
+    """
+    from pliant.emulator import models
+
+    if servo.damping is None or not with_back_emf:
+        return servo.damping
+    if get_model(servo.model).limit_type == "current":
+        return servo.damping
+    count = 1 if servo.secondary is None else 2
+    back_emf = count * servo.gear_ratio**2 * models.find(servo.model).motor.slope
+    return max(servo.damping - back_emf, 0.0)
 
 
 def _as_set_up(servo: Servo) -> dict[str, int]:

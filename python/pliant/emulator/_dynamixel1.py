@@ -58,6 +58,17 @@ class Dxl1Servo(Servo):
         return self.model.max_position - count if self._reverse else count
 
     @property
+    def gain_register(self) -> str:
+        """Return the register with the P gain, or with the compliance slope of models before MX."""
+        return "p_gain" if "p_gain" in self.table else "cw_compliance_slope"
+
+    def model_stiffness(self, gain: int, volts: float) -> float:
+        """Return the stiffness [N·m/rad]; a compliance slope is the error at full torque."""
+        if "p_gain" in self.table:
+            return DUTY_PER_P * gain * self.stall_at(volts)
+        return self.stall_at(volts) / (max(gain, 1) * self.model.count)
+
+    @property
     def _reverse(self) -> bool:
         return "drive_mode" in self.table and bool(self.get("drive_mode") & 1)
 
@@ -142,14 +153,10 @@ class Dxl1Servo(Servo):
         if not self.enabled or not limit or self._wheel or slave or not self.plugged:
             return OFF
         count, stall, speed = self.model.count, self.stall, self.get("moving_speed") & 0x3FF
-        if self._mx:
-            stiffness, dead = DUTY_PER_P * self.get("p_gain") * stall, 0.0
-        else:
-            stiffness = stall / (max(self.get("cw_compliance_slope"), 1) * count)
-            dead = self.get("cw_compliance_margin") * count
+        dead = 0.0 if self._mx else self.get("cw_compliance_margin") * count
         return Drive(
             goal=self._goal_angle(),
-            stiffness=stiffness,
+            stiffness=self.stiffness,
             ceiling=stall * limit / 1023.0,
             speed=speed * self._rpm if speed else math.inf,
             dead=dead,

@@ -49,6 +49,15 @@ class StsServo(Servo):
         return count + self.get("homing_offset")
 
     @property
+    def gain_register(self) -> str:
+        """Return the name of the register with the P gain."""
+        return "p_coefficient"
+
+    def model_stiffness(self, gain: int, volts: float) -> float:
+        """Return the stiffness [N·m/rad]: the duty is proportional to gain and position error."""
+        return DUTY_PER_P * gain * self.stall_at(volts)
+
+    @property
     def _multi_turn(self) -> bool:
         free = self.get("min_position_limit") == 0 == self.get("max_position_limit")
         return free or bool(self.get("phase") & 0x10)
@@ -121,7 +130,7 @@ class StsServo(Servo):
         speed = abs(self.get("goal_velocity"))
         return Drive(
             goal=goal * self.model.count,
-            stiffness=DUTY_PER_P * self.get("p_coefficient") * stall,
+            stiffness=self.stiffness,
             ceiling=stall * min(share, FULL_DUTY),
             speed=speed * STEP if speed else math.inf,
             dead=self.get("cw_dead_zone") * self.model.count,

@@ -92,6 +92,23 @@ class XServo(Servo):
         return raw if self.direction > 0 else 4096 - raw
 
     @property
+    def gain_register(self) -> str:
+        """Return the name of the register with the P gain of the position loop."""
+        return "position_p_gain"
+
+    def model_stiffness(self, gain: int, volts: float) -> float:
+        """Return the stiffness [N·m/rad]: mode 5 sets the current, other modes set the duty."""
+        output = OUTPUT_PER_P * gain
+        if self.get("operating_mode") == CURRENT_POSITION:
+            return output * self._torque_per_count
+        return output * self.stall_at(volts) / FULL_PWM
+
+    @property
+    def _torque_per_count(self) -> float:
+        """Torque of one count of the current registers [N·m]."""
+        return self.model.current_unit * self.model.motor.torque_per_amp
+
+    @property
     def position(self) -> int:
         """Return the reported present position [counts], multi-turn, including Homing Offset."""
         raw = round(self.shaft.angle / self.model.count) + 4096 * self._turns
@@ -194,18 +211,15 @@ class XServo(Servo):
         if not self.enabled or not self.plugged or mode not in {POSITION, EXTENDED,
                                                                 CURRENT_POSITION}:  # fmt: skip
             return OFF
-        motor, gain = self.model.motor, OUTPUT_PER_P * self.get("position_p_gain")
+        motor, stiffness = self.model.motor, self.stiffness
         ceiling = self.stall * abs(self.get("goal_pwm")) / FULL_PWM
         profile = self.get("profile_velocity")
         speed = profile * _RPM if profile and not self.get("drive_mode") & 4 else math.inf
         goal = self.raw_of(self.get("goal_position")) - 4096 * self._turns
         angle = goal * self.model.count
         if mode != CURRENT_POSITION:
-            stiffness = gain * self.stall / FULL_PWM
             return Drive(angle, stiffness, ceiling, speed, slope=motor.slope)
-        per_count = self.model.current_unit * motor.torque_per_amp
-        stiffness = gain * per_count
-        limit = abs(self.get("goal_current")) * per_count
+        limit = abs(self.get("goal_current")) * self._torque_per_count
         inertia = motor.inertia + self.load.inertia
         # ROBOTIS does not publish the damping of the current loop: assume a damping ratio of 0.7,
         # which avoids oscillation.

@@ -57,6 +57,12 @@ class Mount:
         secondary: Id and sign of a second servo of the same model on the same joint.
         port: Port of the servo.
         registers: EEPROM values that differ from the factory values.
+        kp: Stiffness of the joint [N·m/rad] with the value `gain` of the servo's gain register and
+            the supply voltage `voltage` [V]; with another gain or voltage it changes as that of the
+            model. None: the stiffness of the model.
+        gain, voltage: Gain and voltage at which `kp` holds; None: those when the servo is new.
+        friction: Dry friction of the joint [N·m]; None: that of the servo model.
+        damping: Viscous damping of the gears, at the joint [N·m·s/rad]; None: that of the model.
     """
 
     joint: str
@@ -68,9 +74,14 @@ class Mount:
     secondary: tuple[int, int] | None = None
     port: str = "main"
     registers: Mapping[str, int] = field(default_factory=dict)
+    kp: float | None = None
+    gain: int | None = None
+    voltage: float | None = None
+    friction: float | None = None
+    damping: float | None = None
 
     def __post_init__(self) -> None:
-        """Raise `ConfigError` unless signs are 1 or -1 and the gear ratio is above 0."""
+        """Raise `ConfigError` if a sign, the gear ratio or a servo parameter is out of range."""
         for sign in (self.sign, self.secondary[1] if self.secondary else 1):
             if sign not in {-1, 1}:
                 raise ConfigError(f"mount of {self.joint!r}: a sign is 1 or -1, got {sign!r}")
@@ -78,6 +89,13 @@ class Mount:
             raise ConfigError(
                 f"mount of {self.joint!r}: gear_ratio must be above 0, got {self.gear_ratio!r}"
             )
+
+        for name in ("kp", "gain", "voltage", "friction", "damping"):
+            value = getattr(self, name)
+            is_positive = name in {"kp", "gain", "voltage"}
+            if value is not None and not (value > 0.0 if is_positive else value >= 0.0):
+                bound = "above 0" if is_positive else "at least 0"
+                raise ConfigError(f"mount of {self.joint!r}: {name} must be {bound}, got {value!r}")
 
     @property
     def ids(self) -> list[tuple[int, int]]:
@@ -100,6 +118,7 @@ class Coupling:
         reference: Goal angle of the servo's velocity profile [rad]; None for a motor without power.
         share: Share of the joint's torque that this servo exerts, 0 to 1.
         slope: Present torque loss per speed (back-EMF) [N·m·s/rad].
+        damping: Viscous damping of the servo's gears, at its shaft [N·m·s/rad].
     """
 
     servo: Servo
@@ -108,14 +127,16 @@ class Coupling:
     reference: float | None = None
     share: float = 0.0
     slope: float = 0.0
+    damping: float = 0.0
 
 
 class ArmPhysics:
     """Physics of the emulated servos of an arm, computed by a `pliant.sim.Plant`.
 
     Stiffness and damping of the joints follow the servos' registers at every call of `step`.
-    Friction, scene and payload come from the plant. A joint with torque off moves freely, without
-    back-EMF. Servos on one joint share its torque in proportion to their torque limits.
+    Friction of the chain, scene and payload come from the plant. A joint with torque off moves
+    freely, without back-EMF. Servos on one joint share its torque in proportion to their torque
+    limits.
 
     Attributes:
         plant: The simulated arm.
@@ -166,10 +187,31 @@ class ArmPhysics:
                 servo = next(rest)
                 zero = (servo.model.max_position + 1) // 2 if mount.zero is None else mount.zero
                 ratio = sign * servo.direction * mount.gear_ratio
-                couplings.append(Coupling(servo, ratio, servo.angle_of(zero)))
+                damping = servo.model.motor.damping
+                couplings.append(Coupling(servo, ratio, servo.angle_of(zero), damping=damping))
             self._joints[mount.joint] = couplings
+            self._apply_mount(mount, couplings)
         self._set_inertia()
         self._update_shafts()
+
+    def _apply_mount(self, mount: Mount, couplings: list[Coupling]) -> None:
+        """Give the servos of a joint the stiffness, damping and friction of its mount."""
+        if mount.kp is not None:
+            nominal = 0.0
+            for coupling in couplings:
+                servo = coupling.servo
+                gain = servo.get(servo.gain_register) if mount.gain is None else mount.gain
+                volts = servo.supply if mount.voltage is None else mount.voltage
+                nominal += servo.model_stiffness(gain, volts) * coupling.ratio**2
+            for coupling in couplings:
+                coupling.servo.stiffness_scale = mount.kp / nominal
+        if mount.damping is not None:
+            share = mount.damping / len(couplings)
+            for coupling in couplings:
+                coupling.damping = share / coupling.ratio**2
+        if mount.friction is not None and mount.joint not in self._chain:
+            _, dof, _ = self._addresses[mount.joint]
+            self.plant.mj_model.dof_frictionloss[dof] = mount.friction
 
     def _set_inertia(self) -> None:
         """Set the load inertia of each servo from the inertia of the arm in its present pose.
@@ -234,8 +276,7 @@ class ArmPhysics:
         stiffness = damping = goal_torque = kv = limit = 0.0
         for coupling, drive in zip(couplings, drives, strict=True):
             square = coupling.ratio**2
-            motor = coupling.servo.model.motor
-            damping += (motor.damping + drive.slope) * square
+            damping += (coupling.damping + drive.slope) * square
             coupling.reference = profile_reference(
                 drive, coupling.reference, coupling.servo.shaft.angle, seconds
             )
@@ -340,7 +381,7 @@ def emulate(
 
 
 def _servos(model: Model, mounts: Sequence[Mount]) -> Servos:
-    """Return the servo parameters of the chain, from `pliant.emulator.models` and gear ratios."""
+    """Return the servo parameters of the chain: those of the mounts, else of the servo models."""
     by_joint = {mount.joint: mount for mount in mounts}
     missing = [name for name in model.joint_names if name not in by_joint]
     if missing:
@@ -350,8 +391,9 @@ def _servos(model: Model, mounts: Sequence[Mount]) -> Servos:
         mount = by_joint[name]
         motor, pair, gear = find(mount.model).motor, len(mount.ids), mount.gear_ratio
         torque.append(pair * gear * motor.stall * 1.5)
-        friction.append(pair * gear * motor.friction)
-        damping.append(pair * gear**2 * motor.damping)
+        modelled = pair * gear * motor.friction, pair * gear**2 * motor.damping
+        friction.append(modelled[0] if mount.friction is None else mount.friction)
+        damping.append(modelled[1] if mount.damping is None else mount.damping)
         armature.append(pair * gear**2 * motor.inertia)
     # `kp` is a placeholder that `ArmPhysics` replaces at every step. `max_torque` is 1.5 times the
     # stall torque, so that it does not bind at a higher supply voltage.

@@ -126,6 +126,8 @@ class Servo(ABC):
         plugged: True if bus and power are connected.
         now: Time of the emulator [s].
         registered: Address and bytes of a REG_WRITE that waits for ACTION; None: there is none.
+        stiffness_scale: Factor on the stiffness that follows from registers and supply, of a servo
+            that differs from its model.
         stuck: Fixed readings of registers by register name, for tests.
         journal: Register writes that are not in the log of the bus yet.
     """
@@ -158,6 +160,7 @@ class Servo(ABC):
         self.plugged = True
         self.now = 0.0
         self.registered: tuple[int, bytes] | None = None
+        self.stiffness_scale = 1.0
         self.stuck: dict[str, int] = {}
         self.journal: list[Write] = []
         self._boot_end = -math.inf
@@ -277,7 +280,17 @@ class Servo(ABC):
     @property
     def stall(self) -> float:
         """Stall torque at the present supply voltage [N·m]."""
-        return self.model.motor.stall * self.supply / self.model.motor.volts
+        return self.stall_at(self.supply)
+
+    def stall_at(self, volts: float) -> float:
+        """Return the stall torque at a supply voltage [N·m]."""
+        return self.model.motor.stall * volts / self.model.motor.volts
+
+    @property
+    def stiffness(self) -> float:
+        """Torque per position error [N·m/rad] at the present gain and supply voltage."""
+        gain = self.get(self.gain_register)
+        return self.stiffness_scale * self.model_stiffness(gain, self.supply)
 
     @property
     def duty(self) -> float:
@@ -341,6 +354,18 @@ class Servo(ABC):
     def direction(self) -> int:
         """1, or -1 if reported counts fall as the shaft turns forward."""
         return 1
+
+    @property
+    @abstractmethod
+    def gain_register(self) -> str:
+        """Name of the register with the gain of the position loop."""
+
+    @abstractmethod
+    def model_stiffness(self, gain: int, volts: float) -> float:
+        """Return the torque per position error [N·m/rad] of this servo model.
+
+        `gain` is the value of the register `gain_register`, `volts` the supply voltage [V].
+        """
 
     @abstractmethod
     def raw_of(self, count: float) -> float:
