@@ -46,6 +46,49 @@ def test_a_missing_urdf_is_named():
         config.load("vx300s").model()
 
 
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        (
+            "robot.limits = { wrist_roll = [-110, 110] }",
+            r"robot\.limits\.wrist_roll: -110 is beyond ±12\.57 rad.*-110° are -1\.92 rad",
+        ),
+        ("robot.limits = { elbow_flex = [0.0, 90.0] }", r"elbow_flex: 90 is .* 90° are 1\.571 rad"),
+        (
+            'gripper = { servo = { model = "STS3215-7.4V", id = 6 }, opened = 90.0, closed = 0.0 }',
+            r"gripper\.opened: 90 is beyond",
+        ),
+    ],
+)
+def test_angles_that_can_only_be_degrees_are_refused(line, message):
+    with pytest.raises(pliant.ConfigError, match=message):
+        config.parse(SIM + line).model()
+
+
+def test_a_software_limit_in_degrees_is_refused():
+    text = builtin_text("so101").replace("id = 1,", "id = 1, lower = -90, upper = 90,")
+    with pytest.raises(pliant.ConfigError, match=r"servo\.shoulder_pan\.lower: -90 is beyond"):
+        config.parse(text).model()
+
+
+@pytest.mark.parametrize(
+    ("kind", "limits"), [("continuous", "[-12.5, 12.5]"), ("prismatic", "[0, 15]")]
+)
+def test_limits_of_two_turns_and_of_long_rails_are_accepted(tmp_path, kind, limits):
+    link = '<link name="{0}"><inertial><mass value="0.1"/><inertia ixx="1e-4" iyy="1e-4" \
+izz="1e-4" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+    (tmp_path / "arm.urdf").write_text(
+        f'<robot name="r">{link.format("base")}{link.format("tool")}<joint name="one" '
+        f'type="{kind}"><parent link="base"/><child link="tool"/><axis xyz="0 0 1"/>'
+        '<limit lower="-1" upper="1" effort="2" velocity="3"/></joint></robot>'
+    )
+    file = tmp_path / "arm.toml"
+    file.write_text(
+        f'backend = "sim"\nrobot = {{ urdf = "arm.urdf", limits = {{ one = {limits} }} }}\n'
+    )
+    assert config.load(file).model().upper[0] in (12.5, 15.0)
+
+
 def test_urdf_and_file_that_disagree_on_joints():
     text = 'robot.builtin = "koch"\n[servo]\n' + "\n".join(
         f'{joint} = {{ model = "XL330-M288", id = {i} }}'

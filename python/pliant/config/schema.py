@@ -33,12 +33,14 @@ from pliant.servo.models import get_model
 from pliant.servo.spec import ServoSpec, Units, servos_from_units
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
 
     from pliant._core import Settings
     from pliant.servo.spec import Calibration
 
 
+#: Largest joint angle that a file may give [rad], two turns: a larger number is in degrees.
+MAX_ANGLE = 4.0 * math.pi
 # `strict=True` rejects a string that looks like a number, such as "0.5".
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False, strict=True)]
 NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False, strict=True)]
@@ -371,8 +373,8 @@ class Config(StrictModel):
 
         Raises:
             UrdfError: The URDF is not usable.
-            ConfigError: There is no such URDF file, or the joints of the chain do not match the
-                servos of the file.
+            ConfigError: There is no such URDF file, the joints of the chain do not match the servos
+                of the file, or an angle can only be in degrees.
         """
         robot = self.robot
         options: dict[str, Any] = {
@@ -387,6 +389,7 @@ class Config(StrictModel):
         options = {key: value for key, value in options.items() if value is not None}
         out = self._load(options)
         _match(self, out)
+        _check_angles(self, out)
         if narrowed := _software_limits(self, out):
             out = self._load({**options, "limits": {**robot.limits, **narrowed}})
         return out.with_servos(chain_servos(self, out)) if self.servo else out
@@ -582,6 +585,39 @@ def _match(config: Config, model: Model) -> None:
         f"file and URDF disagree on the joints from {model.base} to {model.tip}: "
         f"{'; '.join(parts)}. The chain has {', '.join(model.joint_names)}"
     )
+
+
+def _check_angles(config: Config, model: Model) -> None:
+    """Check that the joint angles of the file can be radians, except for sliding joints.
+
+    Raises:
+        ConfigError: An angle is beyond `MAX_ANGLE`.
+    """
+    sliding = {joint.name for joint in model.joints if joint.kind == "prismatic"}
+    for key, joint, angle in _angles(config, model):
+        if joint not in sliding and abs(angle) > MAX_ANGLE:
+            raise ConfigError(
+                f"{key}: {angle:g} is beyond ±{MAX_ANGLE:.2f} rad, two turns either way: angles of "
+                f"the file are in radians, and {angle:g}° are {math.radians(angle):.4g} rad"
+            )
+
+
+def _angles(config: Config, model: Model) -> Iterator[tuple[str, str, float]]:
+    """Yield key, joint name and value of every joint angle in the file."""
+    robot, gripper = config.robot, config.gripper
+    for joint, ends in robot.limits.items():
+        yield from ((f"robot.limits.{toml_key(joint)}", joint, end) for end in ends)
+    for joint, angle in robot.locked.items():
+        yield f"robot.locked.{toml_key(joint)}", joint, angle
+    for joint, servo in servos(config).items():
+        key = f"servo.{toml_key(joint)}" if joint in config.servo else "gripper.servo"
+        for name, end in (("lower", servo.lower), ("upper", servo.upper)):
+            if end is not None:
+                yield f"{key}.{name}", joint, end
+    if gripper is not None:
+        for name, end in (("opened", gripper.opened), ("closed", gripper.closed)):
+            if end is not None:
+                yield f"gripper.{name}", gripper.joint, end
 
 
 def _software_limits(config: Config, model: Model) -> dict[str, tuple[float, float]]:
