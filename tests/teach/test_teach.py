@@ -278,6 +278,7 @@ def test_a_missing_file_is_named_with_those_that_are_there(tmp_path, capsys):
         (["--soft", "y=1 y=2"], "--soft 'y=1 y=2' names y twice"),
         (["--stop", "0.1"], "stop [N] = 0.1 is outside [1.87, ∞): this arm"),
         (["--speed", "50"], "speed must be in [0.05, 3]"),
+        (["--max-wait", "0"], "--max-wait must be above 0 s, got 0"),
     ],
 )
 def test_bad_flags_of_replay_are_named(tmp_path, capsys, flags, message):
@@ -285,6 +286,23 @@ def test_bad_flags_of_replay_are_named(tmp_path, capsys, flags, message):
     file = str(tmp_path / "wave.json")
     assert main(["replay", "so101", file, "--backend", "sim", *flags]) == 2
     assert message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("flags", "limit"), [(["--max-wait", "2"], 2), ([], 30)])
+def test_a_replay_that_stays_blocked_ends_with_an_error(tmp_path, capsys, caplog, flags, limit):
+    """An axis without force does not follow the motion: its clock would wait without end."""
+    wave().save(tmp_path / "wave.json")
+    command = ["replay", "so101", str(tmp_path / "wave.json"), "--backend", "sim", "--soft", "y=0"]
+    assert main([*command, *flags]) == 2
+    captured = capsys.readouterr()
+    assert f"the motion has paused for {limit} s (--max-wait)" in captured.err
+    assert "was lowered" in caplog.text
+    words = re.search(r"played 0 times of 1 in ([\d.]+) s, waited ([\d.]+) s", captured.out)
+    duration, waited = map(float, words.groups())
+    assert limit <= waited <= duration < limit + 10.0
+    # The state lines have the time of the loop, at which the pause began.
+    begin = float(re.findall(r"([\d.]+) s  blocked", captured.out)[-1])
+    assert begin + limit == pytest.approx(duration, abs=0.1)
 
 
 @pytest.mark.parametrize("backend", ["sim", "emulator"])

@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from pliant import teach
-from pliant._core import ConfigError, Controller
+from pliant._core import ConfigError, Controller, PliantError
 from pliant.cli._console import Console, Keyboard, print_line
 from pliant.cli._flags import (
     ArmName,
     Axes,
     ConfigFlags,
+    Duration,
     File,
     MotionFile,
     check_log,
@@ -38,6 +39,7 @@ def run(
     soft: Axes = "",
     speed: float = 1.0,
     wait: tuple[float, float] = (0.03, 0.25),
+    max_wait: Duration = 30.0,
     stop: Annotated[float | None, tyro.conf.arg(metavar="NEWTONS")] = None,
     times: int = 1,
     log: File = None,
@@ -45,7 +47,8 @@ def run(
 ) -> None:
     """Move to the start of the motion, play the motion, and lower the arm.
 
-    The motion pauses while the tool deviates by more than --wait, for example at an obstacle.
+    The motion pauses while the tool deviates by more than --wait, for example at an obstacle. After
+    a pause of --max-wait the command ends with an error, and lowers the arm.
 
     Args:
         arm: Configuration file, or the name of a ready one (so101, koch, vx300s, ...).
@@ -54,6 +57,7 @@ def run(
             (N·m for roll, pitch, yaw). The other axes hold. Default: settings of the configuration.
         speed: Factor on the speed of the motion.
         wait: Deviations of the tool [m] [rad] above which the motion pauses.
+        max_wait: Longest pause [s]; inf: no limit.
         stop: Force [N] at which the arm stops; Enter continues. Default: the arm never stops.
         times: Number of repetitions.
         log: MCAP file to write (needs the extra log).
@@ -66,13 +70,15 @@ def run(
     )
     if times < 1:
         raise ConfigError(f"--times must be at least 1, got {times}")
+    if not max_wait > 0.0:
+        raise ConfigError(f"--max-wait must be above 0 s, got {max_wait:g}")
     loaded = _load(motion)
     loaded.validate_for(arm_config.model())
     options: dict[str, Any] = {"speed": speed, "wait": wait, "stop": stop}
     connected = connect(arm_config)
     # Check settings and motion here, to raise errors before torque is on.
     teach.Replay(Controller(connected.model, settings, connected.servos), loaded, **options)
-    player = _Player(times)
+    player = _Player(times, max_wait)
     try:
         with connected as live:
             controller = Controller(live.model, settings, live.servos)
@@ -105,21 +111,38 @@ def _load(path: Path) -> teach.Motion:
 class _Player:
     """Plays a motion a number of times and prints changes of its state."""
 
-    def __init__(self, times: int) -> None:
-        """Create a player; `times` is the number of repetitions."""
+    def __init__(self, times: int, max_wait: float) -> None:
+        """Create a player of `times` repetitions with pauses of at most `max_wait` [s]."""
         self._times, self._play_count = times, 0
+        self._max_wait = max_wait
         self._duration = self._waiting_time = 0.0
         self._console = Console()
 
     def run(self, loop: Loop, arm: Arm, make: Callable[..., Replay]) -> None:
-        """Play the motion in the control loop; `make` creates the `Replay` of a controller."""
+        """Play the motion in the control loop; `make` creates the `Replay` of a controller.
+
+        Raises:
+            PliantError: The motion paused for longer than `max_wait`.
+        """
         keys, replay, last_state = Keyboard(), make(loop.controller), ""
         start: float | None = None
+        # Waiting time of the repetitions before the present one, and time of the last tick that
+        # was not blocked [s].
+        waited_before, free = 0.0, 0.0
         for tick in loop:
             start = tick.time if start is None else start
             self._duration = tick.time - start
             command = replay.step(tick.q, dt=tick.dt, load=tick.state.load)
             tick.write(command, replay.extra(arm))
+            self._waiting_time = waited_before + replay.blocked_time
+            if replay.state != "blocked":
+                free = self._duration
+            elif self._duration - free > self._max_wait:
+                raise PliantError(
+                    f"the motion has paused for {self._max_wait:g} s (--max-wait) at "
+                    f"{replay.time:.2f} s: the tool deviates by more than --wait. Remove the "
+                    "obstacle, give the axes more force (--soft), or more --wait or --max-wait"
+                )
             if keys.pressed():
                 replay.resume()
             if replay.state != last_state:
@@ -129,13 +152,11 @@ class _Player:
                     "blocked": ": deviation above --wait; the motion pauses",
                 }
                 self._console.print(
-                    f"{replay.time:6.2f} s  {last_state}{hint.get(last_state, '')}", highlight=False
+                    f"{self._duration:6.2f} s  {last_state}{hint.get(last_state, '')}",
+                    highlight=False,
                 )
             if replay.done:
-                self._play_count, self._waiting_time = (
-                    self._play_count + 1,
-                    self._waiting_time + replay.blocked_time,
-                )
+                self._play_count, waited_before = self._play_count + 1, self._waiting_time
                 if self._play_count == self._times:
                     break
                 replay = make(loop.controller)
