@@ -65,6 +65,14 @@ def test_angles_that_can_only_be_degrees_are_refused(line, message):
         config.parse(SIM + line).model()
 
 
+def test_a_rate_that_the_simulator_cannot_run_is_named_with_rates_that_it_can():
+    arm_config = config.parse(SIM + "loop.rate = 30")
+    with pytest.raises(pliant.ConfigError, match=r"loop\.rate = 30 Hz: .* fit: 25, 31\.25 Hz"):
+        pliant.connect(arm_config)
+    for rate in (25.0, 31.25):
+        assert pliant.connect(arm_config, rate=rate).rate == rate
+
+
 def test_a_software_limit_in_degrees_is_refused():
     text = builtin_text("so101").replace("id = 1,", "id = 1, lower = -90, upper = 90,")
     with pytest.raises(pliant.ConfigError, match=r"servo\.shoulder_pan\.lower: -90 is beyond"):

@@ -148,7 +148,15 @@ def test_the_gripper_rides_along(grasp):
     [
         ({"dt": 0.0}, "dt must be"),
         ({"rate": 0.0}, "rate must be"),
-        ({"rate": 333.0}, "not a whole number"),
+        (
+            {"rate": 333.0},
+            r"rate = 333 Hz: its period is not a whole number of the simulator's steps of "
+            r"0\.001 s; rates that fit: 250, 500 Hz",
+        ),
+        ({"rate": 30.0}, r"rates that fit: 25, 31\.25 Hz"),
+        ({"rate": 30.0, "dt": 0.002}, r"rates that fit: 25, 31\.25 Hz"),
+        ({"rate": 1500.0}, r"rates that fit: 500, 1000 Hz"),
+        ({"rate": 1e-5 * np.pi}, "rates that fit: "),
         ({"delay": (-1, 0)}, "delay must be"),
         ({"delay": 2}, "delay must be"),
         ({"encoder_step": -1.0}, "encoder_step must be at least 0"),

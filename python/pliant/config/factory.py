@@ -287,7 +287,10 @@ def make_simulated(
 ) -> Drive:
     """Create the drive of a simulated arm, with the servos and the table of the file."""
     from pliant.sim import Plant, SimDrive
+    from pliant.sim._checks import STEP, physics_steps
 
+    # The error of `Plant` would name its own argument, not the key of the file.
+    physics_steps(plant.get("dt", STEP), plant.get("rate", config.loop.rate), name="loop.rate")
     options: dict[str, Any] = {"rate": config.loop.rate}
     if config.servo:
         options |= {

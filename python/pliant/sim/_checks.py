@@ -17,17 +17,50 @@ if TYPE_CHECKING:
     from pliant._typing import Array
 
 
-def physics_steps(dt: float, rate: float) -> int:
-    """Return the number of physics steps of `dt` [s] per control period at `rate` [Hz]."""
-    dt, rate = (real(value, name) for value, name in ((dt, "dt"), (rate, "rate")))
+#: Default step of the physics [s].
+STEP = 0.001
+#: Decimals of the rates that an error proposes, and largest number of periods to try for each.
+RATE_DECIMALS, MAX_PERIODS = 3, 10_000
+
+
+def physics_steps(dt: float, rate: float, *, name: str = "rate") -> int:
+    """Return the number of physics steps of `dt` [s] per control period at `rate` [Hz].
+
+    `name` is the name of the rate in error messages.
+
+    Raises:
+        ConfigError: A number is out of range, or a period is not a whole number of steps.
+    """
+    dt, rate = (real(value, key) for value, key in ((dt, "dt"), (rate, name)))
     if not (np.isfinite(dt) and 0.0 < dt <= 0.01):
         raise ConfigError(f"dt must be in (0, 0.01] s, got {dt!r}")
     if not (np.isfinite(rate) and rate > 0.0):
-        raise ConfigError(f"rate must be positive [Hz], got {rate!r}")
+        raise ConfigError(f"{name} must be positive [Hz], got {rate!r}")
     steps = round(1.0 / (rate * dt))
-    if steps < 1 or abs(steps * rate * dt - 1.0) > 1e-9:
-        raise ConfigError(f"a period of 1/{rate:g} s is not a whole number of steps of {dt:g} s")
+    if steps < 1 or not _divides(steps, rate, dt):
+        raise ConfigError(
+            f"{name} = {rate:g} Hz: its period is not a whole number of the simulator's steps of "
+            f"{dt:g} s; rates that fit: {', '.join(f'{r:g}' for r in _near_rates(rate, dt))} Hz"
+        )
     return steps
+
+
+def _divides(steps: int, rate: float, dt: float) -> bool:
+    """Return True if `steps` steps of `dt` [s] are one period at `rate` [Hz]."""
+    return abs(steps * rate * dt - 1.0) <= 1e-9
+
+
+def _near_rates(rate: float, dt: float) -> list[float]:
+    """Return the nearest rates [Hz] below and above `rate` that fit, with few decimals."""
+    first, out = max(int(1.0 / (rate * dt)), 1), []
+    for candidates in (
+        range(first + 1, first + MAX_PERIODS),
+        range(first, max(first - MAX_PERIODS, 0), -1),
+    ):
+        rates = ((k, round(1.0 / (k * dt), RATE_DECIMALS)) for k in candidates)
+        fitting = (value for k, value in rates if value > 0.0 and _divides(k, value, dt))
+        out += [value] if (value := next(fitting, None)) is not None else []
+    return out or [1.0 / (first * dt)]
 
 
 def extra(model: Model, servos: Any | None) -> dict[str, Servos]:

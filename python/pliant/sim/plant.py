@@ -141,7 +141,7 @@ class Plant:
         servos: Any | None = None,
         *,
         extra_servos: Mapping[str, Servos] | None = None,
-        dt: float = 0.001,
+        dt: float = checks.STEP,
         rate: float = 100.0,
         delay: tuple[int, int] = (0, 0),
         encoder_step: ArrayLike = 0.0,
