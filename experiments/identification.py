@@ -259,6 +259,47 @@ def rows(span: float = 0.4) -> list[tuple[str, dict[str, float]]]:
     return out
 
 
+class RecordingPlant:
+    """A simulated arm that records its true positions at every reading."""
+
+    def __init__(self, body: Plant) -> None:
+        """Record the motion of `body`."""
+        self._body = body
+        self.q: list[Array] = []
+        self.tool: list[Array] = []
+
+    def read(self) -> Any:
+        """Record the true positions, and return the reading of the arm."""
+        self.q.append(self._body.q.copy())
+        self.tool.append(self._body.tool[:3, 3].copy())
+        return self._body.read()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._body, name)
+
+
+def motion(arm: str, span: float) -> list[str]:
+    """Return how far joints and tool of an arm move in an identification, as cells of a row."""
+    body = RecordingPlant(plant(arm, "as the table"))
+    model = robots.load(arm)
+    identify.identify_servos(body, model, initial_table(model), span=span)
+    joints = np.abs(np.array(body.q) - body.q[0]).max(axis=0)
+    tool = 1e3 * (np.array(body.tool) - body.tool[0])
+    return [
+        arm,
+        f"{span:g}",
+        f"{np.median(joints):.2f} / {joints.max():.2f}",
+        f"{-tool[:, 2].min():.0f}",
+        f"{tool[:, 2].max():.0f}",
+        f"{np.linalg.norm(tool, axis=1).max():.0f}",
+    ]
+
+
+MOTION_COLUMNS = ("arm", "span [rad]", "joints [rad]", "down [mm]", "up [mm]", "away [mm]")
+#: Arguments `span` of the table of motions [rad].
+SPANS = (0.05, 0.1, 0.4)
+
+
 def line(errors: IdentificationErrors) -> list[str]:
     """Return the errors of one identification as the cells of a table row, see `COLUMNS`."""
 
@@ -299,7 +340,12 @@ COLUMNS = (
 
 
 def main(
-    *, arm: command_line.Arms = (), span: float = 0.4, jobs: int = 2, before_and_after: bool = True
+    *,
+    arm: command_line.Arms = (),
+    span: float = 0.4,
+    jobs: int = 2,
+    before_and_after: bool = True,
+    motions: bool = False,
 ) -> None:
     """Identify the servos of simulated arms; print errors as median / worst over the joints.
 
@@ -308,7 +354,15 @@ def main(
         span: Largest distance of each joint from the start pose during the identification [rad].
         jobs: Number of processes.
         before_and_after: True also runs drag and door before and after the identification.
+        motions: True prints instead how far joints (median / worst) and tool move from the start.
     """
+    if motions:
+        pairs = [(name, value) for name in arm or tuple(STARTS) for value in SPANS]
+        moved = run_by_key(
+            [Job(f"{name} {value}", motion, (name, value)) for name, value in pairs], jobs
+        )
+        print(markdown.table(MOTION_COLUMNS, moved.values()))
+        return
     work = [
         Job(f"{name} {case}", identify_arm, (name, case, span))
         for name in arm or tuple(STARTS)

@@ -278,7 +278,10 @@ def test_only_an_identified_stiffness_is_written(so101, unsure):
     [
         (["gravity", "--span", "0.1"], "--span belongs to servos and payload"),
         (["friction"], "invalid choice"),
-        (["servos", "--span", "9"], "span"),
+        (["servos", "--span", "9"], "span [rad] must be in [0.05, 0.5], got 9"),
+        (["servos", "--span", "3.0"], "span [rad] must be in [0.05, 0.5]"),
+        (["servos", "--span", "0.0"], "span [rad] must be in [0.05, 0.5]"),
+        (["payload", "--span", "1.0"], "span [rad] must be in [0.05, 0.5]"),
     ],
 )
 def test_identify_refuses_before_torque_comes_on(flags, message, capsys):

@@ -51,6 +51,15 @@ def test_a_plant_names_invalid_arguments(options, text):
         (lambda: identify.capture_gravity(None, pliant.Controller(ARM)), r"arm must have read\(\)"),
         (lambda: identify.identify_servos.procedure("arm7"), r"model must be a Model"),
         (lambda: identify.identify_servos.procedure(ARM, span=np.nan), r"span \[rad\] must be in"),
+        (
+            lambda: identify.identify_servos.procedure(ARM, span=3.0),
+            r"span \[rad\] must be in \[0\.05, 0\.5\], got 3",
+        ),
+        (lambda: identify.identify_servos.procedure(ARM, span=0.0), r"must be in \[0\.05, 0\.5\]"),
+        (
+            lambda: identify.estimate_payload.procedure(pliant.Controller(ARM), span=0.6),
+            r"span \[rad\] must be in \[0\.05, 0\.5\], got 0\.6",
+        ),
         (lambda: identify.identify_servos.procedure(ARM, poses=[[0.0]]), r"postures \(K, 7\)"),
         (lambda: identify.identify_servos.procedure(ARM, poses=0), r"poses must be at least 1"),
         (lambda: identify.identify_servos(Plant(ARM), ARM, rate=np.nan), r"rate \[Hz\] must be in"),

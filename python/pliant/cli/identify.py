@@ -51,8 +51,8 @@ def run(
     Args:
         arm: Configuration file, or the name of a ready one (so101, koch, vx300s, ...).
         procedure: servos, gravity or payload.
-        span: Largest motion of each joint from the present pose [rad]. Default: 0.1 for servos,
-            0.3 for payload.
+        span: Largest distance of each joint's poses from the present one [rad], 0.05 to 0.5; the
+            joints swing about every pose. Default: 0.1 for servos, 0.3 for payload.
         report: Measurements file (JSON) to write or to continue, ready to be sent in. Only for
             servos.
         override: Values that replace those of the configuration file.

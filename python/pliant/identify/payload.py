@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from pliant._core import ConfigError, Controller, ServoError
 from pliant._validation import instance, number
 from pliant.identify._excitation import Excitation
-from pliant.identify._poses import AMPLITUDE_RANGE, MAX_SPAN, check_poses, pose_list
+from pliant.identify._poses import AMPLITUDE_RANGE, SPAN_RANGE, check_poses, pose_list
 from pliant.identify._regression import Priors, solve
 from pliant.identify._segments import all_segments
 from pliant.identify.procedure import Procedure, guided, run_procedure
@@ -43,7 +43,7 @@ def _make_procedure(
         )
     rig = Excitation(controller.model, servos, 1.0 / controller.settings.rate)
     numbers = (
-        number(span, "span", 0.0, MAX_SPAN, "rad"),
+        number(span, "span", *SPAN_RANGE, "rad"),
         number(amplitude, "amplitude", *AMPLITUDE_RANGE, "rad"),
     )
     checked_poses = check_poses(poses, rig.n)
@@ -70,7 +70,8 @@ def estimate_payload(
         controller: Controller, whose payload is replaced by the estimate if one is found. The
             controller is reset at the final positions in any case.
         poses: Number of poses to choose within `span`, or joint positions of poses (K, n) [rad].
-        span: Maximum distance of chosen poses from the present pose, per joint [rad].
+        span: Maximum distance of chosen poses from the present pose, per joint [rad], 0.05 to 0.5;
+            the swings about the poses come on top.
         amplitude: Amplitude of the joints about each pose [rad]; the goals move more, because
             friction absorbs a part.
         loop: Your own control loop, which yields its ticks; None: a loop at the controller's rate.

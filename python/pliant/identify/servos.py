@@ -9,7 +9,7 @@ import numpy as np
 from pliant._core import ConfigError, Model, ServoError, Servos
 from pliant._validation import instance, number
 from pliant.identify._excitation import Excitation
-from pliant.identify._poses import AMPLITUDE_RANGE, MAX_SPAN, check_poses, pose_list
+from pliant.identify._poses import AMPLITUDE_RANGE, SPAN_RANGE, check_poses, pose_list
 from pliant.identify._regression import Priors, Solution, fit_delay, solve
 from pliant.identify._segments import all_segments, bare_gravity, force_rows, payload_rows
 from pliant.identify.procedure import Procedure, guided, run_procedure
@@ -64,7 +64,8 @@ def _make_procedure(
         servos: Assumed servo parameters; None: those of the model.
         period: Control period [s].
         poses: Number of poses to choose within `span`, or joint positions of poses (K, n) [rad].
-        span: Maximum distance of chosen poses from the present pose, per joint [rad].
+        span: Maximum distance of chosen poses from the present pose, per joint [rad], 0.05 to 0.5;
+            the swings about the poses come on top.
         amplitude: Amplitude of the joints about each pose [rad]; the goals move more, because
             friction absorbs a part.
         torque_share: Torque allowed in addition to gravity, as a share of the maximum torque [1].
@@ -82,7 +83,7 @@ def _make_procedure(
         )
     rig = Excitation(model, assumed, period, torque_share=torque_share)
     numbers = (
-        number(span, "span", 0.0, MAX_SPAN, "rad"),
+        number(span, "span", *SPAN_RANGE, "rad"),
         number(amplitude, "amplitude", *AMPLITUDE_RANGE, "rad"),
         number(limit_error, "limit_error", 1e-3, 1.0),
     )
@@ -113,7 +114,8 @@ def identify_servos(
         model: Model of the arm.
         servos: Assumed servo parameters; None: those of the model.
         poses: Number of poses to choose within `span`, or joint positions of poses (K, n) [rad].
-        span: Maximum distance of chosen poses from the present pose, per joint [rad].
+        span: Maximum distance of chosen poses from the present pose, per joint [rad], 0.05 to 0.5;
+            the swings about the poses come on top.
         amplitude: Amplitude of the joints about each pose [rad]; the goals move more, because
             friction absorbs a part.
         rate: Control rate [Hz]; None: the rate of the arm, or 100 Hz if it has none.
