@@ -7,6 +7,8 @@ import pytest
 pytest.importorskip("viser", reason="the page needs viser: pip install 'pliant[view]'")
 pytest.importorskip("mjviser", reason="the page needs mjviser: pip install 'pliant[view]'")
 
+from pliant.view.snapshot import Ended
+
 
 class Script:
     """Stand-in for a `Link` with scripted messages.
@@ -17,7 +19,7 @@ class Script:
     def __init__(self, by_call, period=3):
         self.at, self.every = dict(by_call), period
         self.calls = 0
-        self.infos, self.snapshots, self.watchers = [], [], []
+        self.infos, self.snapshots, self.watchers, self.ends = [], [], [], []
 
     def messages(self):
         self.calls += 1
@@ -28,6 +30,9 @@ class Script:
         return self.calls % self.every == 0
 
     def send(self, message):
+        if isinstance(message, Ended):
+            self.ends.append(message)
+            return
         is_snapshot = hasattr(message, "qpos")
         (self.snapshots if is_snapshot else self.infos).append(message)
 

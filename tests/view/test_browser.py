@@ -351,5 +351,7 @@ def test_ctrl_c_lowers_the_arm_and_the_page_shows_it(view, context):
     tab = Tab(context, view.link)
     view.process.send_signal(signal.SIGINT)
     tab.sees("coming down")
-    _, code = view.end()
-    assert code == 130
+    tab.sees("was lowered: torque OFF")
+    view.process.communicate(timeout=PATIENCE)
+    assert view.process.returncode == 130
+    assert "The loop has ended" not in tab.text

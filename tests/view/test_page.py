@@ -24,6 +24,7 @@ from pliant.view.page import Page
 from pliant.view.panel import Panel
 from pliant.view.scene_view import ARROW_LENGTH, SceneView
 from pliant.view.session import Session
+from pliant.view.snapshot import Ended
 from pliant.view.source import Simulated
 
 
@@ -222,6 +223,41 @@ def test_buttons_follow_the_life_of_the_arm(page):
     assert (stop.stop.visible, stop.start.visible) == (False, True)
     stop.show(page.running[0])
     assert (stop.stop.visible, stop.stop.disabled, stop.start.visible) == (True, False, False)
+
+
+def test_the_final_state_stays_on_the_page_once_the_loop_has_gone(page):
+    stop = page.panel.stop
+    stop.show_end(Ended("arm7 was lowered: torque OFF, tool 12 cm lower, 3.0 s", is_off=True))
+    stop.show_disconnected()
+    assert "torque is off" in stop._status.content
+    assert "was lowered: torque OFF" in stop._notice.content
+    assert html.ALERT not in stop._notice.content
+    assert (stop.stop.visible, stop.start.visible) == (False, False)
+
+
+def test_torque_that_stays_on_is_an_error_on_the_page(page):
+    stop = page.panel.stop
+    stop.show_end(Ended("so101 stays where it is, torque ON: elbow carries it", is_off=False))
+    assert "torque is ON" in stop._status.content
+    assert html.ALERT in stop._notice.content
+
+
+@pytest.mark.parametrize(
+    ("where", "phase", "text"),
+    [
+        ("serial", "running", "until a guardian lowers the arm"),
+        ("simulated", "running", "and the simulated arm with it"),
+        ("serial", "down", "Torque was off before"),
+    ],
+)
+def test_a_killed_loop_is_told_by_what_it_leaves(page, where, phase, text):
+    stop = page.panel.stop
+    stop._info = replace(page.info, where=where)
+    stop.show(replace(page.running[-1], phase=phase))
+    stop.show_disconnected()
+    assert "The loop has ended" in stop._notice.content
+    assert text in stop._notice.content
+    assert not stop.start.visible
 
 
 def test_controls_send_changes_with_rising_numbers(page):

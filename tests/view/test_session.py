@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pliant import ConfigError, ServoError, robots
+from pliant import ConfigError, ServoError, ServoFaultError, robots
 from pliant.view import messages
 from pliant.view.ipc import PageGone
 from pliant.view.session import Session
@@ -44,6 +44,37 @@ def test_arm_comes_down_after_stop_and_the_page_sees_it(script):
     heights = [s.tool[2, 3] for s in descent]
     assert heights[-1] < heights[0] - 0.2
     assert all(s.step is None for s in descent)
+
+
+@pytest.mark.parametrize("ending", [KeyboardInterrupt(), SystemExit(143)])
+def test_the_page_gets_the_final_state_after_a_signal(script, ending):
+    link = script({})
+
+    def interrupt(number):
+        if number == 30:
+            raise ending
+        return []
+
+    link.messages = by_call_number(link, interrupt)
+    session = Session(Simulated("arm7", paced=False), link)
+    with pytest.raises(type(ending)):
+        session.run()
+    (end,) = link.ends
+    assert end.is_off
+    assert "was lowered: torque OFF" in end.text
+
+
+def test_the_page_gets_the_torque_that_stays_on(script, monkeypatch):
+    def fail(*_, **__):
+        raise ServoFaultError("the bus is silent")
+
+    monkeypatch.setattr("pliant.arm.arm.descend", fail)
+    link = script({20: messages.Stop()})
+    session = Session(Simulated("arm7", paced=False), link)
+    session.run(1)
+    (end,) = link.ends
+    assert not end.is_off
+    assert "was not lowered" in end.text
 
 
 def test_target_moves_the_tool(script):

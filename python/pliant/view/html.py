@@ -27,12 +27,13 @@ SOFT, STIFF, ALERT, BACKGROUND = "#1c64c8", "#5b6675", "#d9480f", "rgba(130,140,
 #: Colours of the curves of task axes and of joints, in the order of axes and joints.
 COLOURS = ("#d6336c", "#2f9e44", "#1c64c8", "#e8890c", "#7048e8", "#0b8a9a", "#5b6675", "#a61e4d")
 FONT = "font:12px/1.35 system-ui,sans-serif;font-variant-numeric:tabular-nums"
-#: Text and colour of each phase of a run.
+#: Text and colour of each phase of a run, and of torque that stays on after the last run.
 PHASE_TEXTS = {
     "starting": ("torque is coming on", "#b7791f"),
     "running": ("under control", "#2f855a"),
     "lowering": ("coming down", "#b7791f"),
     "down": ("torque is off", "#5b6675"),
+    "left on": ("torque is ON", "#d9480f"),
 }
 LINEAR = ("x", "y", "z")
 #: Possible full scales of the bars that show deviations [mm or °].
@@ -45,9 +46,9 @@ YIELD_SIGNS = {"both": (-1.0, 1.0), "+": (1.0,), "-": (-1.0,)}
 MAX_UNCERTAINTY = 1000.0
 
 
-def status(info: SceneInfo, snapshot: Snapshot) -> str:
-    """Return a line with the name of the arm, its backend and the phase of the run."""
-    words, colour = PHASE_TEXTS[snapshot.phase]
+def status(info: SceneInfo, phase: str) -> str:
+    """Return a line with the name of the arm, its backend and the phase (see `PHASE_TEXTS`)."""
+    words, colour = PHASE_TEXTS[phase]
     return _box(
         f'<span style="display:inline-block;width:9px;height:9px;border-radius:50%;'
         f'background:{colour};margin-right:6px"></span>'

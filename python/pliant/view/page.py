@@ -20,7 +20,7 @@ from pliant.view.ipc import PageEndpoint, Ready, StartupError
 from pliant.view.messages import LetGo
 from pliant.view.panel import Panel
 from pliant.view.scene_view import SceneView
-from pliant.view.snapshot import SceneInfo, Snapshot
+from pliant.view.snapshot import Ended, SceneInfo, Snapshot
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -81,8 +81,8 @@ class Page:
         if self.scene_view is not None and self.scene_view.held_by == client.client_id:
             self._send(LetGo())
 
-    def receive(self, message: SceneInfo | Snapshot) -> None:
-        """Build the page for a new scene (`SceneInfo`), or show a snapshot of the arm.
+    def receive(self, message: SceneInfo | Snapshot | Ended) -> None:
+        """Build the page for a new scene (`SceneInfo`), or show a snapshot or the end of the arm.
 
         This happens in the thread of viser's event loop: from another thread, viser wakes the tasks
         of its connections unsafely, which fails at times, more often with several tabs.
@@ -94,10 +94,14 @@ class Page:
         loop = self.server.get_event_loop()
         asyncio.run_coroutine_threadsafe(show(), loop).result()
 
-    def _show(self, message: SceneInfo | Snapshot) -> None:
+    def _show(self, message: SceneInfo | Snapshot | Ended) -> None:
         if isinstance(message, SceneInfo):
             self.scene_view = SceneView(self.server, message, self._send)
             self.panel = Panel(self.server, message, self._send)
+            return
+        if isinstance(message, Ended):
+            if self.panel is not None:
+                self.panel.stop.show_end(message)
             return
         if self.scene_view is not None and self.panel is not None:
             with self.server.atomic():
@@ -105,7 +109,10 @@ class Page:
             self.panel.show(message)
 
     def show_disconnected(self) -> None:
-        """Show that the loop has ended, and stop the server after `DISCONNECTED_TIME`."""
+        """Show that the loop has ended, and stop the server after `DISCONNECTED_TIME`.
+
+        An end that the loop has sent stays on the page.
+        """
         if self.panel is not None:
             self.panel.stop.show_disconnected()
         self.server.flush()

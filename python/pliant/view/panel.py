@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from pliant.view.messages import Message
-    from pliant.view.snapshot import SceneInfo, Snapshot
+    from pliant.view.snapshot import Ended, SceneInfo, Snapshot
 
 #: Widths of the left and the right panel [px].
 LEFT_WIDTH, RIGHT_WIDTH = 400, 330
@@ -23,6 +23,8 @@ LEFT_WIDTH, RIGHT_WIDTH = 400, 330
 REDRAW_PERIOD = 0.12
 #: Width of the panel with the STOP button, and its distance from the corner of the scene [px].
 STOP_WIDTH, STOP_MARGIN = 290, 12
+#: Values of `SceneInfo.where` of an arm that ends with the process of the loop.
+SIMULATED = frozenset({"simulated", "sim", "emulator"})
 #: Keyboard shortcut of the STOP button.
 STOP_KEY: Literal["S"] = "S"
 
@@ -36,6 +38,7 @@ class StopPanel:
         """Add the panel to the lower left corner of the scene; `send` sends to the control loop."""
         gui = server.gui
         self._info = info
+        self._phase, self._has_ended = "starting", False
         panel = gui.add_panel()
         with panel.add_tab("Stop", viser.Icon.HAND_STOP):
             self._status = gui.add_html("")
@@ -58,19 +61,39 @@ class StopPanel:
 
     def show(self, snapshot: Snapshot) -> None:
         """Show phase and message of a snapshot, and the buttons that apply in this phase."""
-        self._status.content = html.status(self._info, snapshot)
+        self._phase = snapshot.phase
+        self._status.content = html.status(self._info, snapshot.phase)
         self.stop.visible, self.start.visible = snapshot.phase != "down", snapshot.phase == "down"
         self.stop.disabled = snapshot.phase == "lowering"
         self._notice.content = html.notice(snapshot.notice.text, snapshot.notice.is_error)
 
+    def show_end(self, end: Ended) -> None:
+        """Show the final state of the arm; the buttons no longer apply."""
+        self._end("down" if end.is_off else "left on")
+        self._notice.content = html.notice(f"The program has ended. {end.text}", not end.is_off)
+
     def show_disconnected(self) -> None:
-        """Disable the buttons and show that the loop has ended."""
-        self.stop.disabled = self.start.disabled = True
-        self._notice.content = html.notice(
+        """Show that the loop has ended without a final state: its process was killed."""
+        if self._has_ended:
+            return
+        text = (
             "The loop has ended. Servos that still have torque keep their last goal and limit, "
-            "until a guardian lowers the arm.",
-            is_error=True,
+            "until a guardian lowers the arm."
         )
+        is_off = self._phase == "down"
+        if is_off:
+            text = "The loop has ended. Torque was off before."
+        elif self._info.where in SIMULATED:
+            text = "The loop has ended, and the simulated arm with it."
+        self._end(self._phase)
+        self._notice.content = html.notice(text, not is_off)
+
+    def _end(self, phase: str) -> None:
+        """Show the last phase, and hide the buttons."""
+        self._has_ended = True
+        self._status.content = html.status(self._info, phase)
+        self.stop.visible = self.start.visible = False
+        self.stop.disabled = self.start.disabled = True
 
 
 class Panel:

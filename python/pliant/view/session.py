@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 from typing import TYPE_CHECKING, Literal
 
@@ -10,11 +11,12 @@ import numpy as np
 from pliant._core import ConfigError, Controller, PliantError, ServoError
 from pliant.loop import Loop
 from pliant.view import messages, scenes
+from pliant.view.ipc import PageGone
 from pliant.view.mouse_force import MouseForce
 from pliant.view.publisher import DriveObserver, Publisher
 from pliant.view.robot_view import RobotView
 from pliant.view.settings_editor import SettingsEditor
-from pliant.view.snapshot import SceneInfo
+from pliant.view.snapshot import Ended, SceneInfo
 from pliant.view.source import RealtimePacer
 
 if TYPE_CHECKING:
@@ -75,6 +77,13 @@ class Session:
                 runs are shown on the page instead.
             PliantError: The arm or the settings cannot be used.
         """
+        try:
+            self._run_sessions(max_sessions)
+        finally:
+            # Ctrl-C and SIGTERM come here after the descent.
+            self._send_end()
+
+    def _run_sessions(self, max_sessions: int | None) -> None:
         for self._session_number in itertools.count(1):
             self._next: Next | None = None
             try:
@@ -88,6 +97,16 @@ class Session:
             if self._session_number == max_sessions:
                 return
             self._wait_for_start()
+
+    def _send_end(self) -> None:
+        """Send the final state of the arm to the page, if it has shown the arm."""
+        if self.publisher.shown is None:
+            return
+        arm = self._arm
+        is_off = not (arm._is_unfinished or arm._is_left_on or arm._is_handed_over)
+        text = arm._exit_message or f"{arm.name}: torque {'OFF' if is_off else 'ON'}"
+        with contextlib.suppress(PageGone):
+            self._link.send(Ended(text, is_off))
 
     # One run, from torque on to torque off.
 

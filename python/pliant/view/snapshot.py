@@ -194,3 +194,15 @@ class Snapshot:
     notice: Notice = field(default_factory=Notice)
     edit: int = 0
     shown: SettingsView | None = None
+
+
+class Ended(NamedTuple):
+    """State of the arm at the end of the program, the last object that the loop sends to the page.
+
+    Attributes:
+        text: How the last run ended, in a sentence.
+        is_off: True if the torque of all joints is off.
+    """
+
+    text: str
+    is_off: bool
