@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from pliant import ConfigError, ServoError, ServoFaultError, robots
+from pliant.sim import Tabletop
 from pliant.view import messages
 from pliant.view.ipc import PageGone
+from pliant.view.scene_view import _floor_height
 from pliant.view.session import Session
 from pliant.view.source import Simulated
 
@@ -338,6 +340,18 @@ def test_other_arms_have_scenes_of_their_own(script):
     assert link.running[-1].notice == (0, "", False)
     with pytest.raises(ConfigError, match="so101 has no scene 'door'; it has free, wall"):
         Simulated("so101", "door")
+
+
+@pytest.mark.parametrize("robot", ["so101", "koch"])
+def test_small_arms_come_to_rest_on_the_table_that_is_drawn(script, robot):
+    session, link = run_session(script, {30: messages.Stop()}, robot=robot)
+    info, plant = link.infos[0], session._robot.plant
+    assert info.table == 0.0
+    assert _floor_height(info) == 0.0
+    (top,) = (fixture for fixture in plant.fixtures if isinstance(fixture, Tabletop))
+    assert top.peak_force > 0.0
+    assert top.clearance() > -0.005
+    assert plant.tool[2, 3] > -0.01
 
 
 def test_arm_is_lowered_when_the_page_is_gone(script):

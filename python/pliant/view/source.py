@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any
 from pliant._core import ConfigError
 from pliant.arm import Arm
 from pliant.config import connect
+from pliant.config.factory import table_fixtures
+from pliant.config.loader import builtin_text, list_arms, parse
 from pliant.config.schema import resolve_path
 from pliant.drive import MonotonicClock
 from pliant.loop import LatenessHistogram
@@ -68,7 +70,7 @@ class Source(ABC):
 
 
 class Simulated(Source):
-    """A built-in arm in a simulated scene.
+    """A built-in arm in a simulated scene, on the table of its ready configuration.
 
     Args:
         robot: Name of the built-in arm.
@@ -88,14 +90,22 @@ class Simulated(Source):
         if scene not in known:
             raise ConfigError(f"{robot} has no scene {scene!r}; it has {', '.join(known)}")
         axes = " ".join(task_axes(self.model.n))
+        self._file = parse(builtin_text(robot)) if robot in list_arms() else None
         super().__init__(
-            where="simulated", axes=axes, rate=rate, paced=paced, scenes=known, name=scene
+            where="simulated",
+            axes=axes,
+            rate=rate,
+            paced=paced,
+            scenes=known,
+            name=scene,
+            table=None if self._file is None else self._file.robot.table,
         )
 
     def arm(self) -> Arm:
         """Return the arm in a new simulation of the present scene."""
         scene = self.scenes[self.name]
-        plant = Plant(self.model, rate=self.rate, scene=scene.make())
+        table = [] if self._file is None else table_fixtures(self._file)
+        plant = Plant(self.model, rate=self.rate, scene=[*table, *scene.make()])
         plant.reset(scene.q)
         return Arm(self.model, SimDrive(plant), rate=self.rate)
 
