@@ -157,6 +157,23 @@ def test_gallery_is_of_this_law(number, tmp_path):
     assert all(agrees(a, b) for a, b in zip(*numbers, strict=True)), stale
 
 
+def test_only_first_installs_build_the_core_from_the_clone():
+    # `pip install 'pliant[view]'` adds an extra to the installed package and builds nothing.
+    pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md"), *ROOT.glob("integrations/*/*.md")]
+    build = {
+        str(page.relative_to(ROOT))
+        for page in pages
+        if re.search(r"pip install\s+'\.\[", page.read_text(encoding="utf-8"))
+    }
+    assert build == {
+        "README.md",
+        "docs/lerobot.md",
+        "docs/robots/so101.md",
+        "integrations/lerobot/README.md",
+        "integrations/lerobot_env/README.md",
+    }
+
+
 def test_vector_types_are_seen_by_the_module_that_enters_their_code_alone():
     """Only the module that checks the processor may use vector types.
 
