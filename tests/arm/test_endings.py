@@ -495,6 +495,22 @@ def test_a_descent_that_does_not_end_says_rarely_what_it_waits_for(posted, monke
     assert {posted[text] for text in reminders} == {logging.WARNING}
 
 
+def test_the_progress_of_an_arm_that_a_hand_moves_says_so(posted, monkeypatch):
+    monkeypatch.setattr(pliant.arm._shutdown, "PROGRESS", 0.0)
+    arm = standing(real_time=True)
+    messages = ExitMessages("arm", arm, None)
+    start = arm.clock.now()
+    for second in range(30):
+        arm.clock.now = lambda second=second: start + second
+        arm.q = np.array([0.0, 0.0, -0.01 * min(second, 10)])  # lower until 10 s
+        messages.progress(SimpleNamespace(phase="down"))
+    stalled = [text for text in posted if text.endswith(" s, not at rest: is a hand on it?")]
+    assert len(stalled) == 12  # from 18 s on
+    posted.clear()
+    messages.progress(SimpleNamespace(phase="ramp"))
+    assert "hand" not in next(iter(posted))
+
+
 @pytest.mark.parametrize(
     ("gravity", "friction", "expected"),
     [

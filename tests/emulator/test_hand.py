@@ -9,6 +9,7 @@ from emulator.helpers import p1
 from emulator.test_arm import ask, counts
 
 from pliant import config
+from pliant.cli import main
 from pliant.cli.servos.emulate import _motion
 from pliant.config.factory import make_emulator
 from pliant.emulator import JointHand
@@ -68,6 +69,36 @@ def test_a_taught_motion_is_led_forth_and_back(so101, tmp_path):
     joints, _ = record_motion(so101, str(file), 8.0)
     assert joints[39, 1] == pytest.approx(0.5, abs=0.05)
     assert joints[-1, 1] == pytest.approx(0.0, abs=0.05)
+
+
+def test_a_hand_with_times_takes_hold_after_torque_and_lets_go(so101):
+    hand = JointHand(_motion("wave", so101), interval=(1.0, 4.0))
+    with make_emulator(so101, clock="steps", hand=hand) as bus:
+
+        def positions(seconds):
+            bus.world.advance(seconds)
+            return np.array([float(bus.plant.mj_data.joint(name).qpos[0]) for name in NAMES[:5]])
+
+        held = positions(0.1)
+        np.testing.assert_array_equal(positions(5.0), held)  # the arm waits for its torque
+        for servo in range(1, 7):
+            ask(bus, p1(servo, 3, 40, 1))
+        before = positions(0.8)
+        led = positions(2.5)
+        released = positions(4.0)
+        assert np.abs(led - before).max() > 0.02
+        np.testing.assert_allclose(positions(2.0), released, atol=2e-3)
+
+
+@pytest.mark.parametrize("times", [(3.0, 3.0), (-1.0, 2.0), (np.nan, 2.0), (0.0, np.inf)])
+def test_a_hand_holds_between_two_times(times):
+    with pytest.raises(config.factory.ConfigError, match="from a time >= 0 s to a later one"):
+        JointHand(lambda _: {}, interval=times)
+
+
+def test_times_without_a_hand_are_refused(capsys):
+    assert main(["servos", "emulate", "so101", "--hand-during", "1", "2"]) == 2
+    assert "add --hand wave" in capsys.readouterr().err
 
 
 def test_a_motion_of_another_arm_is_refused(so101, tmp_path):

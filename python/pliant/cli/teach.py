@@ -107,15 +107,20 @@ def run(
     start_hand = prepare(live) if scripted_hand else lambda: None
     try:
         with live:
-            motions.append(
-                teach.record(
-                    live,
-                    seconds=duration,
-                    should_toggle=None if by == "rest" else should_toggle,
-                    on_status=on_status,
-                    on_interrupt=interrupted.append,
+            try:
+                motions.append(
+                    teach.record(
+                        live,
+                        seconds=duration,
+                        should_toggle=None if by == "rest" else should_toggle,
+                        on_status=on_status,
+                        on_interrupt=interrupted.append,
+                    )
                 )
-            )
+            except PliantError as error:
+                # Print it before the descent, which the user may leave by Ctrl-C.
+                on_status(f"not taught: {error}")
+                raise
     finally:
         # Write files only after the arm is lowered: a slow disk must not delay the descent.
         motions.extend(motion.trimmed().smoothed().for_model(live.model) for motion in interrupted)

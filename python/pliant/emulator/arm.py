@@ -357,8 +357,8 @@ def emulate(
             emulated servos and bus take their place.
         held: True: the arm is held until all joints of the chain have torque; otherwise it falls
             from the start.
-        hand: Simulated hand that moves the joints, also without torque. It holds the arm up, so
-            `held` has no effect.
+        hand: Simulated hand that moves the joints, also without torque. `held` has no effect if
+            the hand holds the arm up from the start (`interval` is None).
         **options: Keywords of `Emulator`: `timing`, `faults`, `clock`, `baud`, `log`.
 
     Returns:
@@ -377,7 +377,8 @@ def emulate(
         keywords["scene"] = [*keywords.get("scene", ()), hand]
     arm = Plant(model, _servos(model, mounts), **keywords)
     arm.reset(q)
-    return ArmEmulator(arm, mounts, held=held and hand is None, **options)
+    waits = hand is None or hand.interval is not None
+    return ArmEmulator(arm, mounts, held=held and waits, **options)
 
 
 def _servos(model: Model, mounts: Sequence[Mount]) -> Servos:

@@ -1,4 +1,4 @@
-"""Simulated hand of a person who guides an emulated arm whose torque is off."""
+"""Simulated hand of a person who guides an emulated arm, with or without torque."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
+
+from pliant._core import ConfigError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
@@ -37,12 +39,23 @@ class JointHand:
     A damped spring of bounded torque pulls each joint. A servo with torque on resists the hand.
 
     Args:
-        motion: Function of the time [s] that returns joint positions by name [rad]; the hand does
-            not touch other joints.
+        motion: Function of the time since the hand took hold [s] that returns joint positions by
+            name [rad]; the hand does not touch other joints.
+        interval: Time at which the hand takes hold and time at which it lets go [s], counted from
+            the time at which all joints of the chain first had torque. None: it holds the arm from
+            the start on, also without torque, and never lets go.
+
+    Raises:
+        ConfigError: The times are not finite, not in order, or negative.
     """
 
-    def __init__(self, motion: Motion) -> None:
-        self._motion = motion
+    def __init__(self, motion: Motion, *, interval: tuple[float, float] | None = None) -> None:
+        if interval is not None and not 0.0 <= interval[0] < interval[1] < math.inf:
+            raise ConfigError(
+                f"a hand holds the arm from a time >= 0 s to a later one, got {interval[0]:g} s to "
+                f"{interval[1]:g} s"
+            )
+        self._motion, self.interval = motion, interval
         self._start: dict[str, float] = {}
         self._inertia: dict[str, float] = {}
 
@@ -62,10 +75,15 @@ class JointHand:
     def during(self, plant: Plant) -> None:
         """Apply the hand's torques, which also hold the weight, to the joints for one step."""
         model, data = plant.mj_model, plant.mj_data
-        targets = self._motion(data.time)
+        begin, end = (0.0, math.inf) if self.interval is None else self.interval
+        # An arm that is held until its torque comes on has no time before.
+        if not begin <= data.time < end:
+            return
+        time = data.time - begin
+        targets = self._motion(time)
         if not self._start:
             self._take_hold(plant, targets)
-        progress = _smooth(data.time / TAKE_TIME)
+        progress = _smooth(time / TAKE_TIME)
         for name, target in targets.items():
             dof = int(model.joint(name).dofadr[0])
             position, speed = float(data.joint(name).qpos[0]), float(data.qvel[dof])

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 #: Motion of the emulated hand that moves the arm; None: no hand.
 Hand = Annotated[str | None, tyro.conf.arg(metavar="wave|ranges|FILE")]
+#: Times at which the emulated hand takes hold and lets go; None: it always holds the arm.
+HandTimes = Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="START END")]
 #: Signals that end the command besides Ctrl-C, e.g. from a service manager or a closed terminal.
 END_SIGNALS = tuple(
     getattr(signal, name) for name in ("SIGTERM", "SIGHUP", "SIGQUIT") if hasattr(signal, name)
@@ -37,6 +39,7 @@ def run(
     lose: float = 0.0,
     seed: int = 0,
     hand: Hand = None,
+    hand_during: HandTimes = None,
     duration: Seconds = None,
     override: FileFlags,
 ) -> None:
@@ -54,6 +57,8 @@ def run(
             each joint through its range, without a table, for lerobot-calibrate; a motion file of
             `pliant teach` is played forth and back. Default: the arm is held until its torque
             comes on.
+        hand_during: Times at which the hand takes hold and lets go [s], counted from torque on;
+            until then the arm is held. Default: the hand moves the arm from the start, without end.
         duration: Time after which the command ends [s].
         override: Values that replace those of the configuration file.
     """
@@ -66,7 +71,11 @@ def run(
     if hand == "ranges":
         robot = arm_config.robot.model_copy(update={"table": None})
         arm_config = arm_config.model_copy(update={"robot": robot})
-    joint_hand = None if hand is None else JointHand(_motion(hand, arm_config))
+    if hand is None and hand_during is not None:
+        raise ConfigError("--hand-during are the times of a hand: add --hand wave")
+    joint_hand = None
+    if hand is not None:
+        joint_hand = JointHand(_motion(hand, arm_config), interval=hand_during)
     latency = 0.016 if timing == "usb" else 0.0
     bus_timing = Timing(wire=timing != "off", usb_latency=latency)
     console = Console()
@@ -80,6 +89,10 @@ def run(
             for name, path in bus.ports.items():
                 console.print(f"{name}: {path}", highlight=False, soft_wrap=True)
             what = "is held until its torque comes on" if hand is None else "is moved by a hand"
+            if hand_during is not None:
+                begin, last = hand_during
+                what = f"is held until its torque comes on; a hand moves it {begin:g} to {last:g} s"
+                what += " later"
             console.print(f"the arm {what}; Ctrl-C ends", style="dim")
             end = None if duration is None else time.monotonic() + duration
             threshold = MIN_REPORTED_LATENCY
