@@ -34,9 +34,9 @@ PROGRESS = 1.0
 #: Duration of a descent after which a message asks the user to free the arm, and time between two
 #: such messages [s]. The descent of an arm that stands still ends earlier.
 LONG_DESCENT, REMINDER_PERIOD = 45.0, 60.0
-#: Time without a lower tool, after which progress messages say that the arm does not come to rest
-#: [s], and difference in height that counts as lower [m].
-STALL_TIME, STALL_HEIGHT = 8.0, 0.005
+#: A descent that lowers the tool by less than this height [m] in this time [s], and goes on, does
+#: not come to rest; progress messages say so.
+STALL_HEIGHT, STALL_TIME = 0.05, 8.0
 #: Minimum rate of the control loop of a descent [Hz]; a slow bus may still make it slower.
 MIN_RATE = 20.0
 #: Smallest gravity torque with which a message names a joint as loaded [N·m].
@@ -85,8 +85,8 @@ class ExitMessages:
         if io.held is not None and io.last_write <= io.held[0]:
             self._start_height = self._height_at(io.held[1])
         self._next_reminder = LONG_DESCENT
-        # Lowest height so far [m], and time since the start at which it was reached [s].
-        self._lowest = float("inf"), 0.0
+        # Height [m] and time since the start [s] from which `_stall` measures.
+        self._mark = float("inf"), 0.0
         self._abort = "Ctrl-C twice leaves"
         self._known_faults: set[str] | None = None
         # Names of the joints with a new fault, by the text of the fault.
@@ -149,9 +149,9 @@ class ExitMessages:
     def _stall(self, phase: str) -> str:
         """Return the end of a progress message of an arm that does not come to rest, or ""."""
         height, elapsed = self._height(), self._elapsed()
-        if phase != "down" or height < self._lowest[0] - STALL_HEIGHT:
-            self._lowest = height, elapsed
-        if elapsed - self._lowest[1] < STALL_TIME:
+        if phase != "down" or height < self._mark[0] - STALL_HEIGHT:
+            self._mark = height, elapsed
+        if elapsed - self._mark[1] < STALL_TIME:
             return ""
         return ", not at rest: is a hand on it?"
 
