@@ -1,9 +1,13 @@
 """Failures of bus, camera, program and cable, and the reaction of the plugin's arm."""
 
 import gc
+import importlib
 import signal
+import subprocess
+import sys
 import threading
 import time
+from pathlib import Path
 
 import pytest
 from lerobot_plugin.helpers import (
@@ -271,3 +275,43 @@ def test_a_pulled_cable_ends_with_an_error_and_disconnect_returns(plugin, errors
     assert time.monotonic() < begin + 10.0
     assert not robot.is_connected
     assert not arm.enabled
+
+
+@pytest.mark.parametrize("name", ["PliantFollower", "PliantLeader", "BiPliantFollower"])
+def test_a_device_without_an_id_is_named_by_its_class(plugin, name):
+    options = {"backend": "sim"}
+    if name == "BiPliantFollower":
+        module = importlib.import_module(plugin.PliantFollower.__module__)
+        side = module.PliantFollowerOptions(backend="sim")
+        options = {"left_arm_config": side, "right_arm_config": side}
+    for id_, expected in ((None, name), ("black", f"black {name}")):
+        config = getattr(plugin, f"{name}Config")(id=id_, **options)
+        assert str(getattr(plugin, name)(config)) == expected
+
+
+def test_motors_with_other_names_are_told_before_torque(make, monkeypatch, caplog):
+    robot = make()
+    follower = importlib.import_module(type(robot).__module__)
+    monkeypatch.setattr(follower, "STOCK_MOTORS", frozenset({"j1"}))
+
+    def stop(*_, **__):
+        raise pliant.ServoError("no port")
+
+    monkeypatch.setattr(pliant, "connect", stop)
+    with pytest.raises(pliant.ServoError, match="no port"):
+        robot.connect()
+    assert "has the motors shoulder_pan, shoulder_lift" in caplog.text
+    assert "must use the same names" in caplog.text
+
+
+def test_without_lerobot_the_plugin_gives_the_reason():
+    folder = Path(__file__).resolve().parents[2] / "integrations" / "lerobot"
+    code = (
+        f"import sys; sys.path.insert(0, {str(folder)!r}); sys.modules['lerobot'] = None; "
+        "import lerobot_robot_pliant"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    last = done.stderr.strip().splitlines()[-1]
+    remedy = "Python >= 3.12" if sys.version_info < (3, 12) else "pip install lerobot"
+    assert last.startswith("ImportError: lerobot_robot_pliant is a plugin of LeRobot")
+    assert remedy in last

@@ -81,7 +81,11 @@ def test_targets_are_clipped_and_the_clipped_ones_returned(robot):
         ({"shoulder_pan.pos": math.nan}, "shoulder_pan.pos is nan"),
         ({"shoulder_lift.pos": 1.0, "gripper.pos": math.inf}, "gripper.pos is inf"),
         ({"cap_z.vel": math.nan}, "cap_z.vel is nan"),
-        ({"elbow.pos": 1.0}, "no motor 'elbow'; there are shoulder_pan"),
+        (
+            {"elbow.pos": 1.0, "hand.pos": 2.0},
+            "no motor elbow, hand; there are shoulder_pan.*, and the action has wrist_flex, elbow, "
+            r"hand. Take a leader .*--teleop.arm=so101\)",
+        ),
         ({"cap_x.vel": 1.0}, "soft_action"),
     ],
 )

@@ -56,6 +56,10 @@ class BiPliantFollower(Robot):
             for name, camera in arm.cameras.items()
         }
 
+    def __str__(self) -> str:
+        """Return the id in LeRobot, if there is one, and the name of the class."""
+        return " ".join(filter(None, (self.id, type(self).__name__)))
+
     @cached_property
     def observation_features(self) -> dict[str, type | tuple]:
         """Observations of both arms, with the prefix of the side."""

@@ -31,6 +31,10 @@ PAUSE = 1.0
 #: LeRobot's rollout passes on only numbers whose names end in `.pos` or `.vel`, and sends `.pos`
 #: back to the arm at its end; forces, deviations and caps are therefore called `.vel`.
 SUFFIX = ".vel"
+#: Motors of LeRobot's own SO-101, SO-100 and Koch arms.
+STOCK_MOTORS = frozenset(
+    {"shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper"}
+)
 #: Prefix of the entries of an action that give the largest force of an axis.
 CAP = "cap_"
 
@@ -130,6 +134,10 @@ class PliantFollower(Robot):
         self._lock = threading.Lock()
         self._session: _Session | None = None
 
+    def __str__(self) -> str:
+        """Return the id in LeRobot, if there is one, and the name of the class."""
+        return " ".join(filter(None, (self.id, type(self).__name__)))
+
     def _check_options(self) -> None:
         """Check options that would otherwise fail in the control loop.
 
@@ -212,6 +220,12 @@ class PliantFollower(Robot):
         """
         if self._session is not None:
             raise DeviceAlreadyConnectedError(f"{self} is already connected")
+        if not STOCK_MOTORS.issuperset(self._units):
+            LOG.warning(
+                "%s has the motors %s: a leader, policy or dataset must use the same names",
+                self,
+                ", ".join(self._units),
+            )
         arm = pliant.connect(self._file, **self._arm_options())
         try:
             # Open the cameras first: a camera that fails later would make the arm descend.
@@ -310,6 +324,14 @@ class PliantFollower(Robot):
     def _check_action(self, action: Mapping[str, Any]) -> dict[str, float]:
         """Check an action; return its entries for this arm as numbers."""
         self._connected().control.snapshot()
+        motors = [key.removesuffix(".pos") for key in action if key.endswith(".pos")]
+        if unknown := [name for name in motors if name not in self._units]:
+            raise ValueError(
+                f"{self}: no motor {', '.join(unknown)}; there are {', '.join(self._units)}, and "
+                f"the action has {', '.join(motors)}. Take a leader with the joint names of "
+                f"{self.config.arm} (--teleop.type=pliant_leader "
+                f"--teleop.arm={self.config.arm}), or rename the servos and joints in that file"
+            )
         return {name: _finite(name, value) for name, value in action.items() if self._takes(name)}
 
     def _set_target(self, action: Mapping[str, float]) -> dict[str, float]:
@@ -341,13 +363,10 @@ class PliantFollower(Robot):
         """Return True if an entry of an action is for this arm.
 
         Raises:
-            ValueError: There is no such motor, or the axis is not in `soft_action`.
+            ValueError: The axis is not in `soft_action`.
         """
         if key in self.action_features:
             return True
-        if key.endswith(".pos"):
-            known = ", ".join(self._units)
-            raise ValueError(f"{self}: no motor {key.removesuffix('.pos')!r}; there are {known}")
         if key.startswith(CAP):
             axis = key.removeprefix(CAP).removesuffix(SUFFIX)
             raise ValueError(

@@ -89,6 +89,10 @@ class PliantLeader(Teleoperator):
         self._lock = threading.Lock()
         self._session: _Session | None = None
 
+    def __str__(self) -> str:
+        """Return the id in LeRobot, if there is one, and the name of the class."""
+        return " ".join(filter(None, (self.id, type(self).__name__)))
+
     @cached_property
     def action_features(self) -> dict[str, type]:
         """Positions of all motors."""
