@@ -2,12 +2,14 @@
 
 from contextlib import nullcontext
 
+import numpy as np
 import pytest
 from mismatch import under
 
 from experiments import disturbances, doors, tasks
 from experiments.simulation import NOMINAL, Conditions
-from pliant import Settings
+from pliant import Arm, Controller, Loop, Settings, Task, robots
+from pliant.sim import ForceProfile, Plant, Push, SimDrive, Tabletop
 
 #: One tick of delay for reading and for writing, and friction and damping assumed 30 % too low or
 #: too high.
@@ -147,3 +149,29 @@ def test_hand_guiding(conditions):
     assert result.fastest < 1.0  # [rad/s], measured 0.56
     stiff = disturbances.drag(STIFF, conditions=conditions)
     assert stiff.force > 3.0 * result.force  # measured 6.0
+
+
+@pytest.mark.parametrize(
+    ("eta", "force", "seconds", "low", "high"),
+    [
+        (0.9, 4.0, 2.0, 0.0, 0.03),  # measured 0.018
+        (0.9, 10.0, 5.0, 0.25, 0.45),  # measured 0.351: the arm is stretched out
+        (0.5, 10.0, 5.0, 0.0, 0.02),  # measured 0.007
+    ],
+)
+def test_a_soft_axis_returns_but_not_from_a_stretched_arm(eta, force, seconds, low, high):
+    model, q = robots.so101(), (0.0, -0.3, 0.3, 0.9, 0.0)
+    course = ForceProfile(start=1.0, rise=0.2, end=1.0 + seconds)
+    push = Push(force_vector=(0.0, force, 0.0), course=course)
+    plant = Plant(model, rate=100.0, scene=[push, Tabletop()])
+    plant.reset(q)
+    settings = Settings.soft("y", task=Task(axes="x y z"))
+    axes = {name: settings.axes[name] for name in "xyz"}
+    settings = settings.replace(axes={**axes, "y": axes["y"].replace(adaptation=eta)})
+    home = model.forward_kinematics(q)
+    with Arm(model, SimDrive(plant), rate=100.0, on_exit="leave_enabled") as arm:
+        controller = Controller(model, settings, arm.servos)
+        for tick in Loop(arm, controller, rate=100.0, duration=1.0 + seconds + 5.0):
+            tick.step(home)
+    distance = np.linalg.norm(plant.tool[:3, 3] - home[:3, 3])  # [m], 5 s after the push
+    assert low <= distance < high
