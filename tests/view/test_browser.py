@@ -260,6 +260,24 @@ def test_bad_settings_are_explained_and_the_old_ones_stay(tab):
 
 
 @pytest.mark.full
+def test_a_box_with_an_impossible_number_shows_a_possible_one(tab):
+    field = tab.page.locator("input[inputmode=decimal]").filter(visible=True).last
+    for typed, shown in (("900", "40"), ("-3", "0"), ("7", "7"), ("", "7")):
+        field.fill(typed)
+        if not typed:
+            field.blur()
+        tab.wait(lambda _, shown=shown: field.input_value() == shown, f"the force {shown}")
+
+
+@pytest.mark.full
+def test_a_narrow_window_shows_the_arm(shared, browser):
+    narrow = browser.new_context(viewport={"width": 1000, "height": 560})
+    tab = Tab(narrow, shared.link)
+    tab.wait(lambda text: "off target" not in text, "no left panel")
+    narrow.close()
+
+
+@pytest.mark.full
 def test_two_tabs_show_the_same(tab, shared, context):
     other = Tab(context, shared.link)
     for expected in (True, False):

@@ -311,6 +311,30 @@ def test_push_buttons_say_force_or_torque(page):
     assert controls._push_message(0.4) == messages.Push((0.0, 0.0, 0.0), (0.0, 0.0, 1.5), 0.4)
 
 
+def test_a_typed_number_outside_its_range_becomes_the_bound_and_is_shown(page):
+    controls = page.panel.controls
+    for typed, shown in ((100.0, 40.0), (-3.0, 0.0), (7.0, 7.0)):
+        move(controls.force, typed)
+        assert controls.force.value == shown
+        assert controls._push_message(2.0).force == (0.0, shown, 0.0)
+    move(controls.eta, -3.0)
+    move(controls.strength["y", "soft"], (-2.0, 3.0))
+    eta, soft = page.messages
+    assert eta.value == controls.eta.value == 0.0
+    assert soft.fields["soft"] == controls.strength["y", "soft"].value == (0.0, 3.0)
+
+
+@pytest.mark.parametrize(("width", "count"), [(1000, 1), (1060, 0)])
+def test_the_left_panel_is_minimized_in_a_narrow_window(page, width, count):
+    queue = []
+    client = SimpleNamespace(
+        camera=SimpleNamespace(image_width=width),
+        _websock_connection=SimpleNamespace(queue_message=queue.append),
+    )
+    page.panel.fit(client)
+    assert [message.collapsed for message in queue] == [True] * count
+
+
 def test_gizmo_says_a_target_and_is_left_alone_while_it_is_dragged(page):
     gizmo = page.scene_view.gizmo
     gizmo.position, gizmo.wxyz = (0.3, 0.1, -0.2), (1.0, 0.0, 0.0, 0.0)

@@ -166,7 +166,7 @@ def test_grabbing_outside_the_arm_does_nothing(script):
         (messages.Change(1, "y", {"soft": (float("nan"), 1.0)}), "axes.y.soft"),
         (messages.Change(1, "w", {"soft": (1.0, 1.0)}), "no axis 'w'"),
         (messages.Change(1, "y", {"softness": 1.0}), "softness"),
-        (messages.Adaptation(1, 1.5), "adaptation = 1.5"),
+        (messages.Adaptation(1, 1.5), "η = 1.5"),
         (messages.Preset(1, "softest"), "no preset 'softest'"),
         (messages.Law(1, "gravity"), "gravity"),
     ],
@@ -232,7 +232,7 @@ def test_target_that_only_the_core_refuses_does_not_end_the_life(script, monkeyp
 def test_message_of_a_rejected_setting_ends_with_a_valid_one(script):
     invalid, valid = messages.Adaptation(1, 1.5), messages.Adaptation(2, 0.5)
     _, link = run_session(script, {4: invalid, 16: valid, 30: END})
-    assert any("adaptation = 1.5" in s.notice[1] for s in link.running)
+    assert any("η = 1.5" in s.notice[1] for s in link.running)
     assert link.running[-1].notice[1:] == ("", False)
 
 

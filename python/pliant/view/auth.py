@@ -62,6 +62,27 @@ TOKEN_SCRIPT = """<script>
   };
 })();
 </script>"""
+#: Script that gives an emptied number box its last number back: viser sends no message about an
+#: empty box, which would stay empty. The event `input` lets viser's React code take the number.
+NUMBER_SCRIPT = """<script>
+(() => {
+  const last = new WeakMap();
+  const value = Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, "value");
+  const isNumber = (box) =>
+    box instanceof HTMLInputElement && ["decimal", "numeric"].includes(box.inputMode);
+  for (const kind of ["focusin", "input"]) {
+    addEventListener(kind, ({ target }) => {
+      if (isNumber(target) && target.value !== "") last.set(target, target.value);
+    });
+  }
+  addEventListener("focusout", ({ target }) => {
+    if (isNumber(target) && target.value === "" && last.has(target)) {
+      value.set.call(target, last.get(target));
+      target.dispatchEvent(new Event("input", { bubbles: true }));
+    }
+  });
+})();
+</script>"""
 #: HTTP headers of every response: they forbid caching, referrers and embedding in another page.
 HEADERS = {
     "Cache-Control": "no-store",
@@ -137,9 +158,9 @@ class TokenAuth:
 
 @functools.cache
 def _page(zipped: bool) -> bytes:
-    """Return viser's HTML page with `TOKEN_SCRIPT` as first script; gzipped if `zipped` is True."""
+    """Return viser's HTML page with this module's scripts first; gzipped if `zipped` is True."""
     text = VISER_PAGE.read_text(encoding="utf-8")
-    body = text.replace("<head>", f"<head>{TOKEN_SCRIPT}", 1).replace(
+    body = text.replace("<head>", f"<head>{TOKEN_SCRIPT}{NUMBER_SCRIPT}", 1).replace(
         "<title>Viser<", "<title>pliant<"
     )
     return gzip.compress(body.encode()) if zipped else body.encode()

@@ -133,6 +133,7 @@ class Controls:
             self.side = gui.add_dropdown("Toward", tuple(sides), initial_value=first)
             self.force = gui.add_slider("Force [N]", min=0.0, max=1.0, step=0.1, initial_value=0.0)
             self._set_push_range(max_push)
+            self._on_user_change(self.force, lambda: None)
             self.side.on_update(lambda _: self._set_push_range(max_push))
             hold_button = gui.add_button("Push while held down", icon=viser.Icon.HAND_FINGER)
             hold_button.on_hold(
@@ -197,6 +198,7 @@ class Controls:
         # A coroutine, because viser runs coroutines in order, but plain functions in a thread pool.
         async def changed(event: viser.GuiEvent[Any]) -> None:
             if event.client is not None:
+                _clamp(handle)
                 self._known[id(handle)] = handle.value
                 act()
 
@@ -232,3 +234,14 @@ class Controls:
         if handle.value == self._known[id(handle)]:
             handle.value = value
             self._known[id(handle)] = handle.value
+
+
+def _clamp(handle: Any) -> None:
+    """Bring a typed number into the range of its control, and show it; sliders do not check it."""
+    low, high = getattr(handle, "min", None), getattr(handle, "max", None)
+    if low is None and high is None:
+        return
+    clipped = np.clip(handle.value, low, high)
+    value = tuple(clipped.tolist()) if isinstance(handle.value, tuple) else float(clipped)
+    if value != handle.value:
+        handle.value = value

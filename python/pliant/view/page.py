@@ -58,6 +58,7 @@ class Page:
         self.server.gui.configure_theme(
             show_logo=False, show_share_button=False, brand_color=(28, 100, 200)
         )
+        self.server.on_client_connect(self._on_connect)
         self.server.on_client_disconnect(self._on_disconnect)
         self._protect_controls()
 
@@ -75,6 +76,11 @@ class Page:
 
         interface.unregister_handler(GuiUpdateMessage, change)
         interface.register_handler(GuiUpdateMessage, change_value)
+
+    async def _on_connect(self, client: viser.ClientHandle) -> None:
+        """Minimize the left panel in a narrow window, where it would hide the arm."""
+        if self.panel is not None:
+            self.panel.fit(client)
 
     def _on_disconnect(self, client: viser.ClientHandle) -> None:
         """Release the arm if the disconnected client was dragging it; a push ends by itself."""
@@ -98,6 +104,8 @@ class Page:
         if isinstance(message, SceneInfo):
             self.scene_view = SceneView(self.server, message, self._send)
             self.panel = Panel(self.server, message, self._send)
+            for client in self.server.get_clients().values():
+                self.panel.fit(client)
             return
         if isinstance(message, Ended):
             if self.panel is not None:

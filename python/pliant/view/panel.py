@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import viser
+from viser._messages import GuiSetPanelCollapsedMessage
 
 from pliant.view import html, messages
 from pliant.view.controls import Controls
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
 
 #: Widths of the left and the right panel [px].
 LEFT_WIDTH, RIGHT_WIDTH = 400, 330
+#: Width of a browser's window below which the left panel starts minimized [px].
+NARROW_WIDTH = 1060
 #: Minimum time between two updates of bars and numbers [s].
 REDRAW_PERIOD = 0.12
 #: Width of the panel with the STOP button, and its distance from the corner of the scene [px].
@@ -127,6 +130,21 @@ class Panel:
             self._matrix = gui.add_html("")
         side.dock_left()
         side.set_width(LEFT_WIDTH)
+        self._side, self._gui = side, gui
+
+    def fit(self, client: viser.ClientHandle) -> None:
+        """Minimize the left panel for one client whose window is narrow; its user can expand it."""
+        if client.camera.image_width >= NARROW_WIDTH:
+            return
+        # `minimize` of viser's panel would do so for all clients.
+        client._websock_connection.queue_message(
+            GuiSetPanelCollapsedMessage(
+                self._side._placement_uuid,
+                True,
+                counter=self._gui._next_layout_counter(),
+                run_id=self._gui._layout_run_id,
+            )
+        )
 
     def show(self, snapshot: Snapshot) -> None:
         """Show a snapshot of the arm in all panels."""
