@@ -92,22 +92,6 @@ def test_file_that_names_no_soft_axis_begins_like_the_simulated_arm():
     )
 
 
-@pytest.mark.parametrize(
-    ("message", "text"),
-    [
-        (messages.Adaptation(1, 1.0), r"^η = 1 is outside \[0, 1\)"),
-        (
-            messages.Change(1, "z", {"yields": "both", "adaptation": 1.5}),
-            "^η of z = 1.5 is outside",
-        ),
-    ],
-)
-def test_an_error_names_what_the_page_shows(message, text):
-    editor, controller = begin("so101", "x y z")
-    with pytest.raises(pliant.ConfigError, match=text):
-        editor.apply(message, controller)
-
-
 def test_no_preset_goes_faster_than_the_file():
     file_settings = pliant.Settings(task="xyz", max_tool_speed=(0.1, 0.2))
     editor, controller = begin("so101", "xyz", file_settings)

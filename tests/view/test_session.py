@@ -167,6 +167,7 @@ def test_grabbing_outside_the_arm_does_nothing(script):
         (messages.Change(1, "w", {"soft": (1.0, 1.0)}), "no axis 'w'"),
         (messages.Change(1, "y", {"softness": 1.0}), "softness"),
         (messages.Adaptation(1, 1.5), "η = 1.5"),
+        (messages.Change(1, "y", {"adaptation": 1.5}), "η of y = 1.5"),
         (messages.Preset(1, "softest"), "no preset 'softest'"),
         (messages.Law(1, "gravity"), "gravity"),
     ],

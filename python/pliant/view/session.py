@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import re
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -300,7 +301,9 @@ class Session:
         try:
             self.editor.apply(message, controller)
         except PliantError as error:
-            self.publisher.show_error(str(error), "settings")
+            # ROS 2 parameters are named like fields of `pliant.Axis`; the page names this one η.
+            text = re.sub(r"axes\.(\w+)\.adaptation", r"η of \1", str(error))
+            self.publisher.show_error(text.replace("Axis.adaptation", "η"), "settings")
         else:
             self.publisher.clear_error("settings")
         self.publisher.shown = self.editor.describe(controller)

@@ -95,12 +95,9 @@ class SettingsEditor:
             controller.update(self.effective)
         except (PliantError, TypeError, ValueError) as error:
             self.settings, self.preset, self.firm = previous
-            # Put the page's words in place of "Axis." and of `adaptation` in the texts of the core.
-            text, axis = str(error), getattr(message, "axis", None)
-            text = text.replace("Axis.adaptation", "η" if axis is None else f"η of {axis}", 1)
-            if axis is not None:
-                text = text.replace("Axis.", f"axes.{axis}.", 1)
-            raise ConfigError(text) from error
+            # Put the name of the axis in place of "Axis." in the error texts of the core.
+            where = f"axes.{message.axis}" if isinstance(message, messages.Change) else "Axis"
+            raise ConfigError(str(error).replace("Axis.", f"{where}.", 1)) from error
 
     def _change(self, message: messages.Edit, controller: Controller) -> None:
         axes = self._axes(self.settings)
