@@ -146,7 +146,7 @@ pub(super) fn resolve_rows(
         default_strengths(model, settings, servos, joint_space_stats)
     };
     check_defaults(settings, axes, &defaults)?;
-    let springs = default_stiffness(model, settings, servos);
+    let springs = default_stiffness(model, settings, servos, axes);
     let mut rows = [None; MAX_AXES];
     for (slot, &axis) in rows.iter_mut().zip(axes) {
         let block = usize::from(axis >= 3);

@@ -7,8 +7,8 @@ use crate::math::simd::{F64x8, JointVec16, JointVector};
 use crate::math::spectral::rho;
 use crate::model::Model;
 use crate::params::resolved::{GAIN_DELAY_BOUND, REFERENCE_REACH};
-use crate::params::{AXIS_NAMES, Params, ServoArrays, Settings, joint_space};
-use crate::{AxisVec, MAX_AXES, MAX_JOINTS, Rows};
+use crate::params::{AXIS_NAMES, Frame, Params, ServoArrays, Settings, joint_space};
+use crate::{AxisVec, MAX_AXES, MAX_JOINTS};
 
 /// Default stiffness of translations [N/m] and rotations [N·m/rad], tuned on `arm7`; scaled for other arms.
 const REFERENCE_STIFFNESS: [f64; 2] = [800.0, 20.0];
@@ -38,22 +38,35 @@ pub(super) fn bounds(settings: &Settings, delay: f64, servos: &ServoArrays, n: u
     }
     let late = delay + 0.5 / settings.rate;
     let least = if servos.well_damped(n) && late <= WELL_DAMPED_DELAY { WELL_DAMPED_RATIO } else { 1.0 };
-    let is_slow = (0..n.min(MAX_JOINTS)).any(|i| servos.lead_at_full_torque(i) > QUICK_LEAD);
-    let max = if is_slow { WELL_DAMPED_RATIO } else { f64::INFINITY };
+    let max = if is_slow(servos, n) { WELL_DAMPED_RATIO } else { f64::INFINITY };
     let stiffness = (GAIN_DELAY_BOUND / late).max(least).min(max);
     [stiffness, DAMPING_DELAY_BOUND / (late + settings.tracking.velocity_filter)]
 }
 
+/// Returns true if a servo needs a lead of more than [`QUICK_LEAD`] for its full torque.
+fn is_slow(servos: &ServoArrays, n: usize) -> bool {
+    (0..n.min(MAX_JOINTS)).any(|i| servos.lead_at_full_torque(i) > QUICK_LEAD)
+}
+
 /// Returns the default stiffness of axes that do not yield, of translations [N/m] and rotations [N·m/rad]; zero under
-/// other laws.
-pub(super) fn default_stiffness(model: &Model, settings: &Settings, servos: &ServoArrays) -> [f64; 2] {
+/// other laws. For servos that need a large lead, it is within its bound in the median configuration.
+pub(super) fn default_stiffness(model: &Model, settings: &Settings, servos: &ServoArrays, axes: &[usize]) -> [f64; 2] {
     if !settings.law.has_springs() {
         return [0.0; 2];
     }
     let stiffer = servos.kp_mean / REFERENCE_KP;
     let longer = if model.reach() > 0.0 { model.reach() / REFERENCE_REACH } else { 1.0 };
-    [REFERENCE_STIFFNESS[0] * stiffer / (longer * longer), REFERENCE_STIFFNESS[1] * stiffer]
-        .map(rounding::round_to_halves)
+    let default = [REFERENCE_STIFFNESS[0] * stiffer / (longer * longer), REFERENCE_STIFFNESS[1] * stiffer]
+        .map(rounding::round_to_halves);
+    if !is_slow(servos, model.n()) {
+        return default;
+    }
+    let mut gains = [0.0; MAX_AXES];
+    for (gain, &axis) in gains.iter_mut().zip(axes) {
+        *gain = default[usize::from(axis >= 3)];
+    }
+    let excess = median_ratio(model, servos, axes, &settings.task.frame, &gains) / WELL_DAMPED_RATIO;
+    if excess > 1.0 { default.map(|k| round_down(k / excess)) } else { default }
 }
 
 /// Returns an error if the arm would oscillate with the user's stiffness or damping in more than half of the sampled
@@ -110,10 +123,14 @@ fn overshoot(model: &Model, params: &Params, gains: &AxisVec, max: f64) -> f64 {
     if max.is_infinite() || gains.iter().all(|&gain| gain <= 0.0) {
         return 0.0;
     }
-    let compliance = JointVec16::load(&params.servos.compliance);
+    median_ratio(model, &params.servos, &params.axes, &params.frame, gains) / max
+}
+
+/// Returns the ratio [`rho`] of the axes' gains to the servos' stiffness, as the median over the joint space.
+fn median_ratio(model: &Model, servos: &ServoArrays, axes: &[usize], frame: &Frame, gains: &AxisVec) -> f64 {
+    let compliance = JointVec16::load(&servos.compliance);
     let gains = <JointVec16 as JointVector>::Axes::from_axes(gains);
-    let of = |rows: &Rows| rho(&weighted_gram(&load_rows(rows), compliance), gains);
-    joint_space::median_over_rows(model, &params.axes, &params.frame, of) / max
+    joint_space::median_over_rows(model, axes, frame, |rows| rho(&weighted_gram(&load_rows(rows), compliance), gains))
 }
 
 /// Returns the reason for a bound, for error messages.
