@@ -21,9 +21,15 @@ pub(super) fn listed<T>(things: &[T], name: impl Fn(&T) -> &String, wanted: &str
 }
 
 /// Returns the names sorted by similarity to `wanted`, the most similar first.
-pub(super) fn likeliest<'a>(mut names: Vec<&'a str>, wanted: &str) -> Vec<&'a str> {
-    names.sort_by_cached_key(|candidate| distance(candidate, wanted));
-    names
+pub(super) fn likeliest<'a>(names: Vec<&'a str>, wanted: &str) -> Vec<&'a str> {
+    // Insertion, as in `svd`: for an error message, without the code of a sort.
+    let mut sorted: Vec<(usize, &str)> = Vec::with_capacity(names.len());
+    for name in names {
+        let apart = distance(name, wanted);
+        let at = sorted.partition_point(|&(before, _)| before <= apart);
+        sorted.insert(at, (apart, name));
+    }
+    sorted.into_iter().map(|(_, name)| name).collect()
 }
 
 /// Returns the Levenshtein distance between the first hundred characters of two names, ignoring ASCII case.
