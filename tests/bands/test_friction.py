@@ -61,7 +61,7 @@ def test_a_tool_without_strength_comes_to_rest_after_a_push(arm, axes, law):
 
 
 def test_known_friction_is_compensated_as_set():
-    """What `stiffness_known` claims is believed: here it is false, and the tool moves on."""
+    """The controller trusts `stiffness_known`: where it is True by mistake, the tool moves on."""
     assert distance(let_go("so101", "xyz", known=True)) > 0.08
 
 
