@@ -6,7 +6,7 @@ LeRobot imports this package by its name and finds the robots and teleoperators 
 import sys
 
 try:
-    import lerobot  # noqa: F401
+    import lerobot  # noqa: F401  (imported only to explain its absence)
 except ModuleNotFoundError as error:
     if error.name != "lerobot":
         raise

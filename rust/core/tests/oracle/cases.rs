@@ -191,6 +191,7 @@ pub(crate) fn works_without_kp(settings: &Settings) -> bool {
 /// Returns random servos around `nominal`, some of them with a PWM limit.
 pub(crate) fn servos(random: &mut Random, nominal: &Servos, n: usize) -> Servos {
     let mut servos = nominal.for_joints(n).unwrap();
+    let first_kp = servos.kp[0];
     for i in 0..n {
         servos.kp[i] *= random.between(0.7, 1.3);
         servos.max_torque[i] *= random.between(0.4, 1.2);
@@ -203,7 +204,8 @@ pub(crate) fn servos(random: &mut Random, nominal: &Servos, n: usize) -> Servos 
         }
         servos.encoder_step[i] = random.pick(&[0.0, 1e-3, 5e-3]);
     }
-    servos.stiffness_known = servos.kp[0] > nominal.for_joints(n).unwrap().kp[0];
+    // True for half of the servos, without a random number: the other values of a seed stay as they are.
+    servos.stiffness_known = servos.kp[0] > first_kp;
     if random.chance(0.3) {
         servos.limit_type = pliant_core::LimitType::Pwm;
         servos.no_load_speed = Some((0..n).map(|_| random.between(4.0, 10.0)).collect());
