@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import pliant
-from pliant.arm._checks import check_same_robot, explain_payload, join_faults
+from pliant.arm._checks import check_same_robot, join_faults
 
 
 def write_for(arm, limit, seconds=0.5):
@@ -210,23 +210,3 @@ def test_joints_with_the_same_fault_are_named_together():
     off, low = "its torque went off by itself: look at plug", "supply voltage outside its limits"
     faults = (f"a: {off}", f"b: {low}", f"c: {off}", f"d (id 4): {low}", "a fault of a drive")
     assert join_faults(faults) == f"a, c: {off}; b, d (id 4): {low}; a fault of a drive"
-
-
-@pytest.mark.parametrize(
-    ("key", "mass", "is_explained"),
-    [
-        ("axes.x", 250.0, True),
-        ("axes.x", 0.25, False),
-        ("task.axes", 250.0, False),
-        (None, 250.0, False),
-    ],
-)
-def test_a_payload_is_the_cause_where_no_force_is_left_for_an_axis(key, mass, is_explained):
-    """The key of the error and the weight decide, not the error's text."""
-    error = pliant.ConfigError("any text")
-    error.key = key
-    model = pliant.robots.load("so101", payload=(mass, [0.0, 0.0, 0.0]))
-    text = explain_payload(error, model, pliant.config.load("so101").model().servos)
-    assert (text is not None) is is_explained
-    assert text is None or "shoulder_lift needs up to" in text
-    assert explain_payload(pliant.ServoError("axes.x"), model, model.servos) is None

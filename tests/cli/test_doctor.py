@@ -55,8 +55,9 @@ def test_a_payload_in_grams_or_millimetres_is_named(payload, tmp_path, monkeypat
     file = tmp_path / "arm.toml"
     file.write_text(text)
     message = findings(f'backend = "sim"\n{text}', tmp_path)["model"]
-    assert re.search(r"shoulder_lift needs up to \d+(\.\d)? N·m, its servo has 1\.91 N·m", message)
-    assert "Check mass [kg] and com [m] of the payload" in message
+    assert re.search(r"shoulder_lift needs up to \d+\.\d+ N·m, its servo has 1\.91\d N·m", message)
+    mass = "150" if "150" in payload else "0.15"
+    assert f"check masses [kg] and centres of mass [m] of the payload ({mass} kg)" in message
     assert main(["run", str(file), "--backend", "sim", "--quiet", "--duration", "0.1"]) == 2
     assert capsys.readouterr().err == f"error: {message}\n"
 

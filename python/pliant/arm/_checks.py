@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike
 
-    from pliant._core import ArmPoints, Joint, Model, PliantError, Servos
+    from pliant._core import ArmPoints, Joint, Model, PliantError
     from pliant._typing import Array
 
 
@@ -38,8 +38,6 @@ CHECK_WEIGHT = (
     "Model.from_urdf, the masses of the URDF [kg], and the servo models with their Max Torque, "
     "Current or PWM Limit"
 )
-#: Number of poses among which `explain_payload` looks for the largest gravity torques.
-WEIGHT_POSES = 512
 #: Largest differences in a joint's position [m] and orientation [rad] between two models of the
 #: same robot, for example one from drawings and one that was measured.
 MAX_SHIFT, MAX_TURN = 0.005, 0.05
@@ -161,33 +159,6 @@ def setting(error: PliantError) -> str:
     """Return the key of the setting that a `ConfigError` is about; empty for other errors."""
     key = error.key if isinstance(error, ConfigError) else None
     return key or ""
-
-
-def explain_payload(error: PliantError, model: Model, servos: Servos | None) -> str | None:
-    """Return the cause of an error of `Controller` if it is a payload that is too heavy, else None.
-
-    With a payload in grams or millimetres no force is left for the task. The core then names the
-    first axis without a default strength, as key `axes.x`, which is neither the cause nor the place
-    of the mistake.
-    """
-    payload = model.payload
-    if servos is None or payload is None or not setting(error).startswith("axes."):
-        return None
-    lower = np.where(np.isfinite(model.lower), model.lower, -np.pi)
-    upper = np.where(np.isfinite(model.upper), model.upper, np.pi)
-    poses = np.random.default_rng(0).uniform(lower, upper, (WEIGHT_POSES, model.n))
-    weights, usable = np.abs(model.gravity_batch(poses)), np.asarray(servos.max_torque)
-    if (weights > usable).any(axis=1).mean() < 0.5:
-        return None
-    weight = weights.max(axis=0)
-    found = [
-        f"{model.joint_names[i]} needs up to {weight[i]:.3g} N·m, its servo has {usable[i]:.3g} N·m"
-        for i in np.flatnonzero(weight > usable)
-    ]
-    return (
-        f"to hold its weight with the payload of {payload.mass:g} kg {'; '.join(found)}: no force "
-        f"is left for the task in most poses. {CHECK_WEIGHT}"
-    )
 
 
 def join_faults(faults: Iterable[str]) -> str:

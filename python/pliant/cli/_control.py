@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from pliant._core import ConfigError, Controller
-from pliant.arm._checks import explain_payload, setting
+from pliant.arm._checks import setting
 from pliant.cli._flags import check_duration, check_log, make_recorder
 from pliant.config._soft import apply_soft
 from pliant.loop import Loop
@@ -49,10 +49,7 @@ def check_settings(arm: Arm, settings: Settings) -> None:
         Controller(arm.model, settings, arm.servos)
     except ConfigError as error:
         if not setting(error).startswith("task."):
-            cause = explain_payload(error, arm.model, arm.servos)
-            if cause is None:
-                raise
-            raise ConfigError(cause) from error
+            raise
         raise ConfigError(
             f'{error}. In the file it is `task` in [settings], as in task = "xyz"'
         ) from error

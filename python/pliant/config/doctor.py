@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from pliant._core import ArmPoints, Controller, PliantError, ServoError
-from pliant.arm._checks import check_rest, explain_payload, outside, posture, setting
+from pliant.arm._checks import check_rest, outside, posture, setting
 from pliant.config import factory
 from pliant.config._toml import toml_key
 from pliant.config.schema import servos, zeros
@@ -148,7 +148,7 @@ def _controllable(config: Config, model: Model) -> Iterator[Diagnosis]:
         Controller(model, settings)
     except PliantError as error:
         if not setting(error).startswith("task."):
-            yield Diagnosis("bad", "model", _cause(error, model))
+            yield Diagnosis("bad", "model", str(error))
             return
         yield Diagnosis(
             "note", "settings", f"{error}; `pliant run` needs `task` in [settings] of the file"
@@ -159,12 +159,7 @@ def _controllable(config: Config, model: Model) -> Iterator[Diagnosis]:
         try:
             Controller(model, settings)
         except PliantError as worse:
-            yield Diagnosis("bad", "model", _cause(worse, model))
-
-
-def _cause(error: PliantError, model: Model) -> str:
-    """Return the message of an error of `Controller`, or that of the payload that caused it."""
-    return explain_payload(error, model, model.servos) or str(error)
+            yield Diagnosis("bad", "model", str(worse))
 
 
 def _clock(rate: float) -> Diagnosis:

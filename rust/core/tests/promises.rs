@@ -7,7 +7,7 @@ use pliant_core::params::{
     Axis, AxisImpedance, AxisStrength, CompliantSide, Damping, DampingParams, Gain, Law, NullSpace, PaperOptions, Task,
     Tracking,
 };
-use pliant_core::{Controller, Error, Model, ModelOptions, Reference, Servos, Settings, StepInput};
+use pliant_core::{Controller, Error, Model, ModelOptions, Payload, Reference, Servos, Settings, StepInput};
 
 use crate::seeded::{self, Random};
 
@@ -182,6 +182,25 @@ fn default_strengths_scale_with_the_arm() {
     let AxisStrength { soft, firm, hold } = controller.axis_strengths()[0];
     for (value, low, high) in [(soft[0], 0.5, 1.5), (firm[0], 2.0, 5.0), (hold, 6.0, 13.0)] {
         assert!(value >= low && value <= high, "{soft:?} {firm:?} {hold}");
+    }
+}
+
+#[test]
+fn a_payload_in_grams_is_named_with_the_joints_that_it_overloads() {
+    let make = |mass| {
+        let payload = Some(Payload { mass, com: [0.0; 3] });
+        let model = seeded::arm(2, &ModelOptions { payload, ..ModelOptions::default() });
+        let settings = Settings { task: Task::parse("xyz").unwrap(), ..Settings::default() };
+        Controller::new(model, settings, Some(seeded::servos(2)))
+    };
+    make(0.1).unwrap();
+    let message = make(250.0).unwrap_err().to_string();
+    for part in [
+        "axes.x: no default strength",
+        "; shoulder_lift needs up to 1003.116 N·m, its servo has 1.900 N·m",
+        "of the payload (250 kg)",
+    ] {
+        assert!(message.contains(part), "{part}: {message}");
     }
 }
 

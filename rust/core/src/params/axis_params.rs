@@ -1,12 +1,12 @@
 //! Parameters of the task axes, with defaults filled in.
 
-use crate::MAX_AXES;
 use crate::error::{Error, Result};
 use crate::math::rounding;
 use crate::model::Model;
 use crate::params::impedance::default_stiffness;
-use crate::params::joint_space::JointSpaceStats;
+use crate::params::joint_space::{self, JointSpaceStats};
 use crate::params::{AXIS_NAMES, Axis, CompliantSide, OnDeviationLimit, Profile, ServoArrays, Settings};
+use crate::{JointVec, MAX_AXES};
 
 /// Largest adaptation η if neither `k_p` is known nor a gravity offset was captured: with a larger η, a gravity error
 /// would make the arm drift.
@@ -115,15 +115,27 @@ fn default_strengths(
 
 /// Returns an error if an axis uses a default strength that is zero, as for an arm that cannot hold its own weight in
 /// most configurations.
-fn check_defaults(settings: &Settings, axes: &[usize], defaults: &[[f64; 3]; 2]) -> Result<()> {
+fn check_defaults(
+    model: &Model,
+    settings: &Settings,
+    usable: &JointVec,
+    axes: &[usize],
+    defaults: &[[f64; 3]; 2],
+) -> Result<()> {
     for &axis in axes {
         let (user, strengths) = (&settings.axes[axis], &defaults[usize::from(axis >= 3)]);
         let left_out = user.hold.is_none() || (user.compliant_side() != CompliantSide::None && user.soft.is_none());
         if left_out && strengths[2] <= 0.0 {
+            let payload =
+                model.payload().map_or(String::new(), |payload| format!(" of the payload ({} kg)", payload.mass));
             return Err(Error::config(
                 format!("axes.{}", AXIS_NAMES[axis]),
-                "no default strength: in the median of 512 poses gravity takes all the torque that the servos have; \
-                 check servos.max_torque [N·m] and the masses, or give soft, firm and hold",
+                format!(
+                    "no default strength, because gravity takes all the torque that the servos have in the median of \
+                     512 poses{}: check masses [kg] and centres of mass [m]{payload}, and servos.max_torque [N·m], or \
+                     give soft, firm and hold",
+                    joint_space::excess_weight(model, usable)
+                ),
             ));
         }
     }
@@ -145,7 +157,7 @@ pub(super) fn resolve_rows(
     } else {
         default_strengths(model, settings, servos, joint_space_stats)
     };
-    check_defaults(settings, axes, &defaults)?;
+    check_defaults(model, settings, &servos.torque, axes, &defaults)?;
     let springs = default_stiffness(model, settings, servos, axes);
     let mut rows = [None; MAX_AXES];
     for (slot, &axis) in rows.iter_mut().zip(axes) {

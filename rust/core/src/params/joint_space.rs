@@ -164,6 +164,27 @@ fn static_capacity(model: &Model, usable: &JointVec, masses: &GroupMasses, gravi
     [median(&mut forces), median(&mut moments)]
 }
 
+/// Returns the joints whose servo cannot hold the weight of the arm in all sampled configurations, as a text with the
+/// largest torques that they need [N·m]; empty if there are none.
+pub(crate) fn excess_weight(model: &Model, usable: &JointVec) -> String {
+    let (masses, mut frames) = (model.chain().masses(model.payload()), JointFrames::default());
+    let (mut holding, mut largest) = ([0.0; MAX_JOINTS], [0.0_f64; MAX_JOINTS]);
+    for q in sample_configurations(model) {
+        model.chain().forward(&q, &mut frames);
+        model.chain().gravity(&frames, &masses, model.gravity_vector(), &mut holding);
+        for (largest, torque) in largest.iter_mut().zip(&holding) {
+            *largest = largest.max(torque.abs());
+        }
+    }
+    let mut text = String::new();
+    for (name, (largest, usable)) in model.joint_names().iter().zip(largest.iter().zip(usable)) {
+        if largest > usable {
+            text += &format!("; {name} needs up to {largest:.3} N·m, its servo has {usable:.3} N·m");
+        }
+    }
+    text
+}
+
 /// Returns an error if the servos cannot hold the arm in any sampled configuration, e.g. because a mass is in grams or
 /// the servo data are wrong.
 pub(crate) fn check_holding(model: &Model, usable: &JointVec, masses: &GroupMasses, gravity: [f64; 3]) -> Result<()> {
