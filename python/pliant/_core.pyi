@@ -1996,7 +1996,8 @@ class Controller:
                 `Model.reach` plus 0.1 m is an error.
             dt: Time since the last step [s], at most 1; None: 1 / settings.rate.
             dq: Joint velocity (n,) [rad/s] instead of the filtered one.
-            twist: Velocity of the target (6,) [m/s, rad/s], base axes.
+            twist: Velocity of the target (6,) [m/s, rad/s], base axes: the step aims at where the
+                target will be after the delay. Law `paper` adds it to the task velocity instead.
             gradient: Gradient (n,) of an additional cost, which the null-space motion reduces.
             out: Command to overwrite, including arrays that are still referenced.
 
@@ -2227,7 +2228,10 @@ class Diagnostics:
 
     @property
     def task_velocity(self) -> _Array:
-        """Task velocity (k,) [m/s, rad/s]: K_x `adapted_deviation` + twist, within its limits."""
+        """Task velocity (k,) [m/s, rad/s]: K_x `adapted_deviation`, within its limits.
+
+        Under law `paper` with `twist` added.
+        """
 
     @property
     def softness(self) -> _Array:

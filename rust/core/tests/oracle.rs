@@ -183,7 +183,7 @@ const MAX_DIFFERENCES: usize = 30;
 fn step_agrees_with_oracle(law: Law) {
     let mut observed = Observed::default();
     let mut wrong = Vec::new();
-    for seed in 0..1440 {
+    for seed in 0..1920 {
         let differences = RefCell::new(Vec::new());
         sequence(
             usize::try_from(seed % 3).unwrap(),

@@ -738,12 +738,21 @@ fn a_snapshot_keeps_the_captured_stiffness_and_is_checked() {
 }
 
 #[test]
-fn a_twist_is_fed_forward_within_the_tool_speed() {
-    let (_, mut controller, target) = make(Settings::default());
+fn a_twist_moves_the_target_on_by_the_delay_within_the_tool_speed() {
     let twist = [0.0, 0.1, 0.0, 0.0, 0.0, 2.0];
-    controller.step(&Q, &target, &StepInput { twist: Some(&twist), ..StepInput::default() }).unwrap();
-    let dx = controller.diagnostics().task_velocity;
-    assert!((dx[1] - 0.1).abs() < 1e-9 && (dx[5] - 1.0).abs() < 1e-9 && dx[0].abs() < 1e-9, "{dx:?}");
+    let velocity = |law| {
+        let settings = Settings { law, delay: 0.02, ..Settings::default() };
+        let (_, mut controller, target) = make(settings);
+        controller.step(&Q, &target, &StepInput { twist: Some(&twist), ..StepInput::default() }).unwrap();
+        controller.diagnostics().task_velocity
+    };
+    // 1 rad/s is the largest speed of the tool. K_x 4/s, b_p 0.9.
+    let ahead = 4.0 * 0.9 * 0.02;
+    for (law, factor) in [(Law::Cap, ahead), (Law::Impedance, ahead), (Law::Paper, 1.0)] {
+        let dx = velocity(law);
+        let want = [0.0, 0.1 * factor, 0.0, 0.0, 0.0, factor];
+        assert!(want.iter().zip(&dx).all(|(want, dx)| (want - dx).abs() < 1e-9), "{law:?}: {dx:?}");
+    }
 }
 
 #[test]

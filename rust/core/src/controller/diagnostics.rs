@@ -17,11 +17,11 @@ pub struct Diagnostics {
     pub q: JointVec,
     /// Joint velocity v, filtered or given [rad/s].
     pub velocity: JointVec,
-    /// Deviation e of the tool from the reference along the task axes [m, rad].
+    /// Deviation e of the tool from the reference along the task axes, with a twist after the delay [m, rad].
     pub deviation: AxisVec,
     /// Deviation ẽ from the adapted target along the task axes, `(1 − η w) e` [m, rad].
     pub adapted_deviation: AxisVec,
-    /// Commanded velocity of the task axes, `Δx = K_x ẽ + twist`, within its limits [m/s, rad/s].
+    /// Commanded velocity of the task axes, `Δx = K_x ẽ`, within its limits; law `paper` adds the twist [m/s, rad/s].
     pub task_velocity: AxisVec,
     /// Softness w of each axis for the side from which it is pushed, 0 (stiff) to 1 (soft).
     pub softness: AxisVec,

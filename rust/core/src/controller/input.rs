@@ -14,7 +14,8 @@ pub struct StepInput<'a> {
     pub dt: Option<f64>,
     /// Velocity of each joint [rad/s]; `None`: filtered from the positions.
     pub dq: Option<&'a [f64]>,
-    /// Velocity of the target, linear then angular, in base axes [m/s, rad/s]; `None`: not fed forward.
+    /// Velocity of the target, linear then angular, in base axes [m/s, rad/s]; `None`: zero. Law `paper` adds it to the
+    /// task velocity; the others aim at where the target will be after the delay.
     pub twist: Option<&'a [f64; 6]>,
     /// Gradient, one entry per joint, of the user's null-space cost, added to the gradient of the settings' cost.
     pub gradient: Option<&'a [f64]>,

@@ -64,7 +64,7 @@ impl<'a> AxisForces<'a> {
     fn at(&self, deviation: &AxisVec) -> AxisVec {
         let Rules { params, settings } = self.rules;
         let (e, zero) = (BaselineF64x8::from_axes(deviation), BaselineF64x8::splat(0.0));
-        let demand = AxisDemand::<BaselineF64x8>::new(params, settings, params.features, e, zero);
+        let demand = AxisDemand::<BaselineF64x8>::new(params, settings, params.features, e, zero, 0.0);
         let force = match params.law {
             Law::Impedance => demand.stiffness * demand.adapted,
             Law::Cap | Law::Paper => BaselineF64x8::from_axes(&self.stiffness) * demand.clamped_displacement,

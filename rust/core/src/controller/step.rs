@@ -221,7 +221,8 @@ impl StepContext<'_> {
             }
             _ => J::Axes::splat(0.0),
         };
-        let demand = AxisDemand::new(params, settings, features, step_reference.deviation, twist);
+        let demand =
+            AxisDemand::new(params, settings, features, step_reference.deviation, twist, self.prediction_time());
         let pacing = self.pacing(features, &arm, &filtered, &governor, dt);
         let mut singular = self.state.singular;
         let mut locked = [false; MAX_JOINTS];
@@ -421,8 +422,13 @@ impl StepContext<'_> {
         if !features.law.by_force() {
             return q;
         }
-        let ahead = self.state.gamma * self.settings.compensation.delay * self.delay;
-        J::fma(J::splat(ahead), filtered.velocity, q)
+        J::fma(J::splat(self.prediction_time()), filtered.velocity, q)
+    }
+
+    /// Returns the time for which positions and target are predicted, γ b_p T_d [s].
+    #[inline(always)]
+    fn prediction_time(&self) -> f64 {
+        self.state.gamma * self.settings.compensation.delay * self.delay
     }
 
     /// Returns the feed-forward terms for velocity and acceleration of the reference; zero if the settings do not limit

@@ -14,7 +14,7 @@ pub(crate) struct CapProblem<'a, W: F64x8> {
     pub(crate) compliance: &'a Mat6,
     /// `λ²/k̄` of each row, in the units of `C`, with the servos' mean stiffness k̄.
     pub(crate) damping: W,
-    /// Step `s = h (K_x ẽ + twist)` [m, rad], within the step limits of soft axes.
+    /// Step `s = h K_x ẽ` [m, rad], within the step limits of soft axes.
     pub(crate) step: W,
     /// Step s [m, rad], within the step limits of soft and of stiff axes.
     pub(crate) bounded_step: W,

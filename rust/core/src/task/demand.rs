@@ -9,7 +9,7 @@ use crate::task::compliance::{compliance_by, lerp};
 /// Deviation of each task axis and the quantities computed from it; one lane per task axis, zeros in unused lanes.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct AxisDemand<W> {
-    /// Deviation e = target − tool [m, rad].
+    /// Deviation e = target − tool [m, rad], under laws that compute a wrench at the time at which the goal arrives.
     pub(crate) deviation: W,
     /// Adapted deviation ẽ = (1 − η w) e [m, rad].
     pub(crate) adapted: W,
@@ -25,9 +25,10 @@ pub(crate) struct AxisDemand<W> {
     pub(crate) stiffness: W,
     /// Damping D per axis [N·s/m, N·m·s/rad], for the side on which the deviation lies.
     pub(crate) damping: W,
-    /// Velocity of the target, fed forward [m/s, rad/s].
+    /// Velocity of the target [m/s, rad/s].
     pub(crate) twist: W,
-    /// Step s = h (K_x ẽ + twist) [m, rad] over the horizon h, clamped to the step limit of a soft axis.
+    /// Step s = h K_x ẽ [m, rad] over the horizon h, under law `paper` h (K_x ẽ + twist); clamped to the step limit of a
+    /// soft axis.
     pub(crate) displacement: W,
     /// Step s [m, rad], clamped to the step limit of a soft or a stiff axis according to its softness.
     pub(crate) clamped_displacement: W,
@@ -36,9 +37,15 @@ pub(crate) struct AxisDemand<W> {
 impl<W: F64x8> AxisDemand<W> {
     /// Computes the demand from the deviation `e` [m, rad] and the target's velocity `twist` [m/s, rad/s] of each task
     /// row.
+    ///
+    /// Laws that compute a wrench use the deviation from the target after the time `ahead` [s], for which the positions
+    /// are predicted. Twist as a part of the step would be too much for them: they compensate drag, so that the tool
+    /// would run ahead of the target by twist/K_x.
     #[inline(always)]
-    pub(crate) fn new(params: &Params, settings: &Settings, features: Features, e: W, twist: W) -> Self {
+    pub(crate) fn new(params: &Params, settings: &Settings, features: Features, e: W, twist: W, ahead: f64) -> Self {
         let rows = &params.axis_simd;
+        let by_force = features.law.by_force();
+        let e = if features.inputs && by_force { W::fma(W::splat(ahead), twist, e) } else { e };
         let plus = push_side_blend::<W>(e, W::from_array(&rows.band), W::from_array(&rows.band_slope));
         let w = blend_sides(plus, &rows.yields);
         let adapted = adapt_deviation::<W>(e, W::from_array(&rows.eta), w);
@@ -50,7 +57,8 @@ impl<W: F64x8> AxisDemand<W> {
         );
         let strength = lerp::<W>(c, blend_sides(plus, &rows.far_strength), blend_sides(plus, &rows.near_strength));
         let horizon = W::splat(settings.paper_options.horizon);
-        let displacement = horizon * W::fma(W::splat(params.gain_scale), apply_kx(params, features, adapted), twist);
+        let velocity = if by_force { W::splat(0.0) } else { twist };
+        let displacement = horizon * W::fma(W::splat(params.gain_scale), apply_kx(params, features, adapted), velocity);
         let (mut bounded, mut clamped) = (displacement, displacement);
         if rows.limits_steps {
             let stiff_max = horizon * W::from_array(&rows.step_limit);

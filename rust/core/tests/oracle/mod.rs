@@ -118,7 +118,7 @@ impl Oracle {
         let tool = self.model.forward_kinematics(q.as_slice()).unwrap();
         let rows = self.rows(&q);
         let (reference, at_limit) = self.reference(&tool, target);
-        let e = self.deviation(&tool, &reference);
+        let mut e = self.deviation(&tool, &reference);
         // At a deviation limit, the velocity of the reference is not that of the target.
         let twist = input.twist.copied().filter(|_| !at_limit.contains(&true)).unwrap_or_default();
         let twist = self.in_task(
@@ -126,6 +126,9 @@ impl Oracle {
             &Vector3::new(twist[0], twist[1], twist[2]),
             &Vector3::new(twist[3], twist[4], twist[5]),
         );
+        if cap {
+            e += &twist * (self.state.gamma * settings.compensation.delay * self.delay);
+        }
         // 3, 4, 5
         let axis_values: Vec<Row> = (0..k).map(|r| self.row(axes[r], e[r])).collect();
         let of = |f: fn(&Row) -> f64| Vector::from_iterator(k, axis_values.iter().map(f));
@@ -134,7 +137,8 @@ impl Oracle {
         let (stiffness, viscosity) = (of(|r| r.stiffness), of(|r| r.viscosity));
         let relative = &twist - &rows * &velocity;
         // 6
-        let s = (Self::gain(&settings.tracking.gain, k) * &adapted + &twist) * h;
+        let fed = if cap { Vector::zeros(k) } else { twist };
+        let s = (Self::gain(&settings.tracking.gain, k) * &adapted + fed) * h;
         let clip = |value: f64, bound: f64| value.max(-bound).min(bound);
         let soft_step = Vector::from_fn(k, |r, _| clip(s[r], h * self.soft_velocity_limit(axes[r])));
         let step = Vector::from_fn(k, |r, _| clip(s[r], h * self.velocity_limit(axes[r], softness[r])));
