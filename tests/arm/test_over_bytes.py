@@ -113,6 +113,16 @@ def test_an_arm_far_too_heavy_for_its_servos_gets_no_torque(payload):
         heavy.close()
 
 
+def test_a_simulated_arm_far_too_heavy_for_its_servos_is_not_enabled():
+    config = pliant.config.parse(
+        'backend = "sim"\n[robot]\nbuiltin = "so101"\npayload = { mass = 100 }'
+    )
+    arm = pliant.connect(config, q=[0.0, -0.5, 0.5, 0.8, 0.0])
+    with pytest.raises(pliant.ServoError, match=r"shoulder_lift needs .*as it is.*payload"):
+        arm.enable()
+    assert not arm.drive.counters["writes"]
+
+
 @pytest.mark.parametrize("family", FAMILIES)
 def test_enabled_in_order_controlled_and_held(family):
     with arm_over_bytes(family, [0.1, 0.2, 0.2, 0.1, 0.0]) as (bus, arm):

@@ -139,20 +139,24 @@ def check_within_limits(io: ArmIO, on: Mask) -> None:
 def check_weight(io: ArmIO, on: Mask) -> None:
     """Check before torque is switched on that the model is not far too heavy for its servos.
 
-    Joints with torque on, of the mask `on` (n,), are not checked: taking them over must not fail.
+    Joints with torque on, of the mask `on` (n,), whose goals and limits are known are not checked:
+    taking them over must not fail. A simulated arm has torque on from the start, without goals.
 
     Raises:
         ServoError: Joints need more than `LARGEST_WEIGHT` times their usable torque to hold the
             present pose; the message names each, with the remedy.
     """
     weight, usable = np.abs(io.gravity()), np.asarray(io.servos.max_torque)
+    goals, limits = io.stored_commands()
+    taken = on & np.isfinite(goals + limits)
     found = [
         f"{io.model.joint_names[i]} needs {weight[i]:.3g} N·m, its servo has {usable[i]:.3g} N·m"
-        for i in np.flatnonzero(~on & (weight > LARGEST_WEIGHT * usable))
+        for i in np.flatnonzero(~taken & (weight > LARGEST_WEIGHT * usable))
     ]
     if found:
         raise ServoError(
-            f"to hold its weight in this pose {'; '.join(found)}: torque stays off. "
+            f"to hold its weight in this pose {'; '.join(found)}: torque stays "
+            f"{'as it is' if on.any() else 'off'}. "
             f"{CHECK_WEIGHT}; or move the arm by hand into a pose that needs less"
         )
 
