@@ -82,7 +82,7 @@ class ForceProfile:
     """Time course of a hand: a ramp from 0 to 1, then constant until the hand lets go.
 
     Times are on the clock of the plant, like `Tick.began`. `Tick.time` differs: it is 0 when the
-    `Loop` starts, and `Arm.enable` before it takes 0.7 s of simulated time or more.
+    `Loop` starts, and `Arm.enable` before it takes 0.7 to 7 s of simulated time.
 
     Attributes:
         start: Start time [s].
