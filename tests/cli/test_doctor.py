@@ -3,6 +3,7 @@
 import os
 import re
 
+import numpy as np
 import pytest
 
 import pliant
@@ -10,6 +11,7 @@ from pliant import config
 from pliant.arm._checks import posture
 from pliant.cli import main
 from pliant.cli.servos import doctor
+from pliant.config import doctor as doctor_checks
 from pliant.config import factory
 from pliant.config.doctor import Diagnosis, examine
 from pliant.config.factory import make_emulator
@@ -220,3 +222,20 @@ def test_a_supply_that_does_not_fit_the_servos_is_named(supply, message, tmp_pat
     assert re.search(message, " ".join(capsys.readouterr().err.split()))
     if "current" in supply:
         assert config.load(file, backend="sim").supply.current == 4.0
+
+
+@pytest.mark.parametrize(
+    ("typical", "late", "cause"),
+    [
+        (0.0005, 0.008, "other programs delay some readings"),
+        (0.008, 0.008, "latency timer of the adapter"),
+    ],
+)
+def test_late_readings_are_not_blamed_on_the_baud_rate(monkeypatch, typical, late, cause):
+    times = np.full(doctor_checks.CYCLES, typical)
+    times[-5:] = late
+    monkeypatch.setattr(doctor_checks, "time_readings", lambda _: (times, 0))
+    monkeypatch.setattr(doctor_checks, "wire_read_time", lambda *_: 0.0013)
+    found = doctor_checks._cycle(None, config.load("so101"))
+    assert found.level == "bad"
+    assert cause in found.text

@@ -287,12 +287,15 @@ def _cycle(chain: ServoBus, config: Config) -> Diagnosis:
             "bad", "bus", f"{lost} of {CYCLES} readings lost; {text}: check the cables"
         )
     if worst > 0.7 / config.loop.rate:
-        remedy = (
-            f"set the servos to more than {config.port[0].baud} bit/s, and `baud` in [[port]] with "
-            "them"
-            if bare > 0.5 * median
-            else "set the latency timer of the adapter to 1 ms"
-        )
+        if median <= 0.7 / config.loop.rate:
+            remedy = "other programs delay some readings: close them"
+        elif bare > 0.5 * median:
+            remedy = (
+                f"set the servos to more than {config.port[0].baud} bit/s, and `baud` in [[port]] "
+                "with them"
+            )
+        else:
+            remedy = "set the latency timer of the adapter to 1 ms"
         return Diagnosis(
             "bad",
             "bus",
