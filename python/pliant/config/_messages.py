@@ -45,6 +45,11 @@ def _sentence(detail: ErrorDetails, schema: type[BaseModel]) -> str:
         return f"{key} is missing"
     if kind == "list_type" and isinstance(detail["input"], dict):
         return f"{key} is a list of tables: [[{key}]] in double brackets begins each of them"
+    if kind == "model_type":
+        known = ", ".join(sorted(keys(schema, detail["loc"])))
+        return f"{key} = {_short(detail['input'])}: must be a table; its keys are {known}"
+    if kind == "tuple_type":
+        return f"{key} = {_short(detail['input'])}: must be a list of numbers, in brackets"
     message = detail["msg"].removeprefix("Value error, ")
     message = message[:1].lower() + message[1:]
     if kind in {"value_error", "assertion_error"}:

@@ -41,6 +41,8 @@ if TYPE_CHECKING:
 
 #: Largest joint angle that a file may give [rad], two turns: a larger number is in degrees.
 MAX_ANGLE = 4.0 * math.pi
+#: Largest gravity that a file may give [m/s²]: a larger number is not in m/s².
+MAX_GRAVITY = 30.0
 # `strict=True` rejects a string that looks like a number, such as "0.5".
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False, strict=True)]
 NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False, strict=True)]
@@ -108,6 +110,15 @@ class Robot(StrictModel):
     locked: dict[str, Number] = {}
     limits: dict[str, tuple[Number, Number]] = {}
     table: Annotated[Number, Field(ge=-MAX_TABLE_HEIGHT, le=MAX_TABLE_HEIGHT)] | None = None
+
+    @field_validator("gravity")
+    @classmethod
+    def _in_metres(cls, gravity: Vector3) -> Vector3:
+        if (size := math.hypot(*gravity)) > MAX_GRAVITY:
+            raise ValueError(
+                f"{size:g} m/s² is above {MAX_GRAVITY:g}: gravity is in m/s², 9.81 on Earth"
+            )
+        return gravity
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:
