@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import re
 import sys
 import threading
 import time
@@ -204,11 +205,13 @@ def main(descriptor: int, options: dict[str, Any]) -> int:
     try:
         session = open_session(listen, connect)
     except zenoh.ZError as error:
+        # Remove places in zenoh's source code.
+        reason = re.sub(r" at /\S+\.rs:\d+", "", str(error)).rstrip(".! ")
         text = (
-            f"no zenoh router at {connect}: {error}. Start one (ros2 run rmw_zenoh_cpp "
+            f"no zenoh router at {connect}: {reason}. Start one (ros2 run rmw_zenoh_cpp "
             "rmw_zenohd), or leave --connect out"
             if connect
-            else f"zenoh cannot listen on {listen}: {error}. If a router (rmw_zenohd) runs there: "
+            else f"zenoh cannot listen on {listen}: {reason}. If a router (rmw_zenohd) runs there: "
             f"--connect {listen}"
         )
         endpoint.send(StartupError(text))

@@ -42,7 +42,10 @@ def ros_link(
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
         raise ConfigError(f"name of a node: letters, digits and _, got {name!r}")
     if not re.fullmatch(r"/|(/[A-Za-z][A-Za-z0-9_]*)+", namespace):
-        raise ConfigError(f"namespace: / or words after /, such as /left, got {namespace!r}")
+        raise ConfigError(
+            "namespace: / or words of letters, digits and _ after /, such as /left, got "
+            f"{namespace!r}"
+        )
     if not 0 <= domain <= MAX_DOMAIN:
         raise ConfigError(f"ROS domain id = {domain} is outside [0, {MAX_DOMAIN}]")
     _check_extra("pliant ros", "ros", "zenoh", "rosbags")
