@@ -18,7 +18,7 @@ from pliant.arm import Arm
 from pliant.arm._messages import MESSAGES
 from pliant.emulator import ManualClock, Mount, Timing, emulate
 from pliant.servo import ServoBus, ServoSpec
-from pliant.sim import Tabletop
+from pliant.sim import ForceProfile, Push, Tabletop
 
 #: Units of the speed registers [rad/s]: one encoder step per second, and 0.229 rpm.
 STEP, RPM = 2.0 * np.pi / 4096, 0.229 * np.pi / 30.0
@@ -660,6 +660,18 @@ def test_joints_that_servos_do_not_carry_are_named(counts, is_told, monkeypatch)
         assert bool(told) is is_told
         arm.disable_torque()
         arm.close()
+
+
+def test_a_push_as_torque_comes_on_is_named_as_a_cause(monkeypatch):
+    texts = []
+    monkeypatch.setattr(MESSAGES, "post", lambda text, *_, **__: texts.append(text))
+    push = Push(force_vector=(0.0, 3.0, 0.0), course=ForceProfile(start=0.5, end=2.5))
+    arm = pliant.connect("so101", backend="sim", q=[0.0, -0.3, 0.3, 0.9, 0.0], scene=[push])
+    arm.enable()
+    (text,) = (text for text in texts if "torque did not hold shoulder_pan" in text)
+    assert text.endswith("or a hand pushed the arm")
+    arm.disable_torque()
+    arm.close()
 
 
 @pytest.mark.parametrize("joint", ["shoulder_lift", "elbow_flex"])

@@ -278,7 +278,7 @@ class Arm:
         )
         displaced = self._displacement and (
             f"{self._displacement}: signs or zeros are wrong (`pliant servos doctor ARM --watch`), "
-            "or a load is too heavy"
+            "a load is too heavy, or a hand pushed the arm"
         )
         for text in filter(None, (displaced, mismatch)):
             MESSAGES.post(text, logging.WARNING)
