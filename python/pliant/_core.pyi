@@ -963,15 +963,16 @@ class Axis:
         adaptation: Share eta of the deviation by which the target follows the tool, 0 <= eta < 1;
             eq. (12) of the paper.
         soft_until: Deviation below which compliance is 1 [m or rad]; default 0.01 m, 0.04 rad.
-        firm_from: Deviation above which compliance is 0 [m or rad]; default 0.10 m, 0.40 rad.
+        firm_from: Deviation above which compliance is 0 [m or rad], at most 5; default 0.10 m, 0.40
+            rad.
         profile: Strength for deviations from `soft_until` to `firm_from`: `"hardening"`: from soft
             to firm; `"constant"`: soft; `"softening"`: from firm to soft.
         max_velocity: Largest commanded velocity while the axis is stiff [m/s, rad/s]; default 0.4
             m/s, 2 rad/s; inf: no limit. Law impedance has no limit.
         soft_step_limit: Largest commanded velocity while the axis yields [m/s, rad/s]; default no
             limit, under law `"paper"` 0.1 m/s, 0.5 rad/s.
-        deviation_limit: Largest deviation toward a side that does not yield [m or rad]; None: no
-            limit.
+        deviation_limit: Largest deviation toward a side that does not yield [m or rad], at most 5;
+            None: no limit.
         on_deviation_limit: Behaviour of the target beyond `deviation_limit`. `"yield"`: the target
             of this axis follows the tool, the arm gives way with the force of the limit, and the
             target returns at the tool's speed after the release. `"wait"`: the whole target waits
@@ -1411,11 +1412,11 @@ class Settings:
         rate: Nominal control rate [Hz]: the default `dt` of a step is 1 / rate.
         delay: Time from reading the positions to the arrival of the goal [s].
         gravity: Use the gravity model in goals and limits.
-        max_tool_speed: Speed limit of `Diagnostics.reference` [m/s], or a pair [m/s, rad/s]; a
-            single number implies 4 rad/s per m/s; None: no limit. A tool that friction has held
-            back can be faster by up to 0.1 m/s, along soft axes near a singular pose by more: from
-            0.08 m/s (0.3 rad/s) above the limit on, laws cap and impedance reduce the forces that
-            accelerate the tool.
+        max_tool_speed: Speed limit of `Diagnostics.reference` [m/s], or a pair [m/s, rad/s], at
+            most (20, 80); a single number implies 4 rad/s per m/s; None: no limit. A tool that
+            friction has held back can be faster by up to 0.1 m/s, along soft axes near a singular
+            pose by more: from 0.08 m/s (0.3 rad/s) above the limit on, laws cap and impedance
+            reduce the forces that accelerate the tool.
         max_tool_acceleration: Acceleration limit of `Diagnostics.reference` [m/s^2], or a pair
             [m/s^2, rad/s^2]; a single number implies 4 rad/s^2 per m/s^2; None: no limit.
         accept_high_adaptation: Accept an `Axis.adaptation` above 0.95 if the servos' stiffness is

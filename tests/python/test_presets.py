@@ -92,7 +92,7 @@ def test_axes_that_a_preset_needs_must_belong_to_the_task():
         (lambda: Settings.drawer(pull=float("inf")), r"pull \[N\] = inf is outside"),
         (lambda: Settings.drawer(axis="yaw"), "'yaw' is not a direction"),
         (lambda: Settings.plug(axis="--z"), "'-z' is not a direction"),
-        (lambda: Axis(deviation_limit=0.0), r"deviation_limit = 0 is outside \(0, ∞\)"),
+        (lambda: Axis(deviation_limit=0.0), r"deviation_limit = 0 is outside \(0, 5\]"),
         (
             lambda: Axis(deviation_limit=None, on_deviation_limit="stop"),
             "must be one of 'yield', 'wait'",

@@ -50,8 +50,34 @@ def test_a_position_in_millimetres_is_refused(model, q, target, axis):
 def test_a_pose_with_a_wrong_last_row_is_refused(model, target):
     controller = pliant.Controller(model)
     target[3, 0] = 1.0
-    message = "last row of a 4×4 pose must be 0 0 0 1, got 1 0 0 1"
+    message = "last row of a 4×4 pose must be 0 0 0 1, got 1 0 0 1: is the matrix transposed?"
     assert error_text(controller.check, target) == f"path_or_pose: {message}"
+    target[3] = 1.0, 0.0, 0.0, 2.0
+    assert error_text(controller.check, target).endswith("got 1 0 0 2")
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (
+            lambda: pliant.Settings(max_tool_speed=300),
+            "max_tool_speed [m/s, rad/s] = 300 is outside",
+        ),
+        (
+            lambda: pliant.Axis(deviation_limit=20),
+            "deviation_limit = 20 is outside (0, 5] [m, rad]",
+        ),
+        (lambda: pliant.Axis(soft_until=10, firm_from=100), "firm_from = 100 is outside"),
+    ],
+)
+def test_millimetres_and_degrees_in_settings_are_refused(make, message):
+    def controller():
+        value = make()
+        if isinstance(value, pliant.Axis):
+            value = pliant.Settings(axes={"x": value})
+        pliant.Controller(pliant.robots.arm7(), value)
+
+    assert message in error_text(controller)
 
 
 def test_nan_is_named_in_the_error(model, q, target):

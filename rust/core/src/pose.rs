@@ -100,7 +100,8 @@ impl Pose {
     #[cold]
     #[inline(never)]
     pub(crate) fn no_homogeneous_matrix(name: &str, [x, y, z, w]: [f64; 4]) -> Error {
-        Error::config(name, format!("last row of a 4×4 pose must be 0 0 0 1, got {x} {y} {z} {w}"))
+        let hint = if (w - 1.0).abs() < 1e-9 { ": is the matrix transposed?" } else { "" };
+        Error::config(name, format!("last row of a 4×4 pose must be 0 0 0 1, got {x} {y} {z} {w}{hint}"))
     }
 
     /// Creates a pose from a homogeneous matrix, row-major; `None` if the last row is not `0 0 0 1`. The other rows are

@@ -11,6 +11,9 @@ pub const AXIS_NAMES: [&str; MAX_AXES] = ["x", "y", "z", "roll", "pitch", "yaw"]
 /// Largest accepted stiffness [N/m, N·m/rad] and damping [N·s/m, N·m·s/rad] of an axis.
 const IMPEDANCE_BOUND: f64 = 1e9;
 
+/// Largest accepted threshold and limit of a deviation [m, rad]: larger numbers are in millimetres or degrees.
+const MAX_DEVIATION: f64 = 5.0;
+
 /// Frame whose axes are the task axes.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub enum Frame {
@@ -273,7 +276,7 @@ impl Axis {
             check(at("soft_until"), value, value >= 0.0 && value.is_finite(), "[0, firm_from)")?;
         }
         if let Some(value) = self.firm_from {
-            check(at("firm_from"), value, value > 0.0 && value.is_finite(), "(soft_until, ∞)")?;
+            check(at("firm_from"), value, value > 0.0 && value <= MAX_DEVIATION, "(soft_until, 5] [m, rad]")?;
         }
         if let (Some(low), Some(high)) = (self.soft_until, self.firm_from) {
             check(at("soft_until"), low, low < high, &format!("[0, firm_from = {high})"))?;
@@ -284,7 +287,7 @@ impl Axis {
             }
         }
         if let Some(limit) = self.deviation_limit {
-            check(at("deviation_limit"), limit, limit > 0.0 && limit.is_finite(), "(0, ∞)")?;
+            check(at("deviation_limit"), limit, limit > 0.0 && limit <= MAX_DEVIATION, "(0, 5] [m, rad]")?;
             if self.compliant_side() == CompliantSide::Both {
                 return Err(Error::config(
                     at("deviation_limit"),

@@ -1,5 +1,7 @@
 //! Medians over the arm's joint space, by which default settings are scaled.
 
+use std::fmt::Write as _;
+
 use nalgebra::DMatrix;
 
 use crate::error::{Error, Result};
@@ -179,7 +181,7 @@ pub(crate) fn excess_weight(model: &Model, usable: &JointVec) -> String {
     let mut text = String::new();
     for (name, (largest, usable)) in model.joint_names().iter().zip(largest.iter().zip(usable)) {
         if largest > usable {
-            text += &format!("; {name} needs up to {largest:.3} N·m, its servo has {usable:.3} N·m");
+            let _ = write!(text, "; {name} needs up to {largest:.3} N·m, its servo has {usable:.3} N·m");
         }
     }
     text

@@ -5,6 +5,9 @@ use crate::params::{
     AXIS_NAMES, Axis, Compensation, Damping, Follow, Gain, NullSpace, PaperOptions, Settings, TorqueLimits, Tracking,
 };
 
+/// Largest finite limits of the tool's speed [m/s, rad/s]: larger numbers are in mm/s or degrees per second.
+const MAX_TOOL_SPEED: [f64; 2] = [20.0, 80.0];
+
 impl Settings {
     /// Checks every value that can be checked without arm and servos.
     ///
@@ -26,8 +29,12 @@ impl Settings {
         self.validate_impedance()?;
         within("rate [Hz]", self.rate, 1.0, 1e5)?;
         within("delay [s]", self.delay, 0.0, 0.5)?;
-        for (speed, acceleration) in self.max_tool_speed.into_iter().zip(self.max_tool_acceleration) {
-            within("max_tool_speed [m/s, rad/s]", speed, 1e-3, f64::INFINITY)?;
+        let speeds = self.max_tool_speed.into_iter().zip(MAX_TOOL_SPEED);
+        for ((speed, max), acceleration) in speeds.zip(self.max_tool_acceleration) {
+            if !(1e-3..=max).contains(&speed) && speed != f64::INFINITY {
+                let allowed = format!("0.001 to {max}, or ∞ for no limit");
+                return Err(Error::out_of_range("max_tool_speed [m/s, rad/s]", speed, allowed));
+            }
             within("max_tool_acceleration [m/s², rad/s²]", acceleration, 1e-2, f64::INFINITY)?;
         }
         self.tracking.validate()?;
