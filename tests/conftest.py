@@ -65,8 +65,8 @@ UNITS = {name: line[0] for line in SHARED for name in line}
 #: Further test files that start a separate program in each test.
 PROGRAMS = {"tests/test_house.py"}
 #: Number of workers in addition to the number of cores, because many tests wait for an emulated bus
-#: or another process. More workers would delay replies of emulated buses too much.
-WAITING = 1
+#: or another process. With more workers, replies of emulated buses were late now and then.
+WAITING = 2
 
 
 def pytest_configure() -> None:
