@@ -306,6 +306,27 @@ def test_two_servos_of_a_joint_disagree_only_about_angles_that_were_read():
         assert not joint[1].other_faults
 
 
+@pytest.mark.parametrize("is_wrong", [False, True])
+def test_the_last_reading_of_a_silent_servo_is_not_compared(is_wrong):
+    """The joint moves on meanwhile: the descent of an arm reported servos that disagree."""
+    spec = ServoSpec(name="lift", model="XM540-W270", id=1, port="p", secondary=(2, 1))
+    joint = [driver.Device(spec, 0, 1, 1), driver.Device(spec, 0, 2, 1)]
+    zero, count = joint[0].units.zero, joint[0].units.count
+
+    def read(number, angle, time):
+        joint[number]._last_reading[:] = zero + angle / count, 0.0, time
+
+    read(0, 0.3, 1.0)
+    read(1, 0.45 if is_wrong else 0.3, 1.002)
+    check_agreement(joint)
+    read(0, 0.3 if is_wrong else 0.6, 1.5)
+    check_agreement(joint)
+    assert ("secondaries" in joint[0].other_faults) is is_wrong
+    read(1, 0.3 if is_wrong else 0.45, 1.502)
+    check_agreement(joint)
+    assert ("secondaries" in joint[0].other_faults) is not is_wrong
+
+
 def test_a_port_and_its_requests_have_the_settings_of_the_bus(fake_bus):
     spec = ServoSpec(name="pan", model="MX-64", id=253, port="p")
     assert ServoBus([spec])._cycle == 0.01

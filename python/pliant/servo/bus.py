@@ -45,6 +45,9 @@ if TYPE_CHECKING:
 #: Largest difference of the joint angles that two servos of one joint measure; above it, a fault is
 #: reported [rad].
 MAX_DISAGREEMENT = 0.1
+#: Largest difference of the times of two readings that are compared [s]: a joint moves on while one
+#: of its servos is silent.
+MAX_SKEW = 0.05
 
 
 def align_secondaries(joints: Sequence[Sequence[Device]]) -> None:
@@ -64,9 +67,15 @@ def align_secondaries(joints: Sequence[Sequence[Device]]) -> None:
 
 
 def check_agreement(joint: Sequence[Device]) -> None:
-    """Set or clear the fault of a joint whose two servos disagree about its angle."""
-    angles = [d.angle(position) for d in joint if (position := d.position) is not None]
-    difference = max(angles) - min(angles) if angles else 0.0
+    """Set or clear the fault of a joint whose two servos disagree about its angle.
+
+    While one of them is silent, the fault stays as it is.
+    """
+    read = [(d.angle(position), d.time) for d in joint if (position := d.position) is not None]
+    angles, times = zip(*read, strict=True) if read else ((0.0,), (0.0,))
+    if max(times) - min(times) > MAX_SKEW:
+        return
+    difference = max(angles) - min(angles)
     joint[0].fault(
         "secondaries",
         difference > MAX_DISAGREEMENT,
