@@ -46,6 +46,20 @@ def test_a_missing_servo_is_named_with_those_that_answer():
     assert "ids that answer: 1, 7" in text
 
 
+def test_a_servo_that_falls_silent_after_it_was_identified_is_named(emulated, monkeypatch):
+    with emulated("sts", 2, is_open=False) as (bus, servo_bus):
+        identify = ServoBus.identify
+
+        def fall_silent(self):
+            found = identify(self)
+            bus.faults.inject("deaf", id=2, count=10**6)
+            return found
+
+        monkeypatch.setattr(ServoBus, "identify", fall_silent)
+        with pytest.raises(ServoError, match=r"joint1 \(id 2\) .* no answer.*; check plug"):
+            servo_bus.open()
+
+
 def test_a_silent_bus_points_to_power_port_and_baud():
     text = complaint([Device("STS3215", id=1, baud_rate=3)], PAN)
     assert "no servo answers" in text

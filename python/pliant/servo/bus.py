@@ -667,7 +667,15 @@ class ServoBus(BusCycle):
         for device in self._devices:
             port = self._port_of[id(device)]
             port.guard.start_cycle()
-            device.accept(port.guard.read(device.id, *device.family.read))
+            try:
+                reply = port.guard.read(device.id, *device.family.read)
+            except BusError as error:
+                error.raise_if_gone()
+                raise ServoError(
+                    f"{device.spec.name} (id {device.id}) was identified, and then gave no "
+                    f"position: {error}; check plug and cable"
+                ) from error
+            device.accept(reply)
         align_secondaries(self._joints)
 
     def _select(self, names: Sequence[str] | None) -> list[Device]:
