@@ -79,7 +79,8 @@ def check_agreement(joint: Sequence[Device]) -> None:
     joint[0].fault(
         "secondaries",
         difference > MAX_DISAGREEMENT,
-        f"its two servos disagree by {difference:.2f} rad and work against each other",
+        f"its two servos disagree by {difference:.2f} rad and work against each other: check the "
+        "sign of the secondary in the file, then the horns of both",
     )
 
 
