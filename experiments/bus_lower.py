@@ -40,7 +40,7 @@ class LowerResult:
     Attributes:
         sank: Largest sag of the tool during `enable`, which switches torque on [m].
         left: Sag of the tool at the end of `enable` [m].
-        lifted: Largest speed of the tool during `enable` [m/s].
+        enable_speed: Largest speed of the tool during `enable` [m/s].
         speed: Largest speed of the tool during the descent [m/s].
         force: Largest force on one point of the table, averaged over 10 ms [N].
         resting: Sum of the forces on all points of the table, 1 s after torque off [N].
@@ -49,7 +49,7 @@ class LowerResult:
 
     sank: float
     left: float
-    lifted: float
+    enable_speed: float
     speed: float
     force: float
     resting: float
@@ -85,7 +85,7 @@ def lower(family: str, q: Array, *, load: float = 0.0, over_table: bool = False)
     return LowerResult(
         sank=enable_peaks.start - enable_peaks.lowest,
         left=sag,
-        lifted=enable_peaks.speeds[False],
+        enable_speed=enable_peaks.speeds[False],
         speed=descent_peaks.speeds[False],
         force=force,
         resting=rest_force,
@@ -137,7 +137,7 @@ def main(
         cells = (
             markdown.worst((result.sank for result in results), 0, 1e3),
             markdown.worst((result.left for result in results), 0, 1e3),
-            markdown.worst((result.lifted for result in results), 2),
+            markdown.worst((result.enable_speed for result in results), 2),
             markdown.worst((result.speed for result in results), 2),
             markdown.worst((result.force for result in results), 1) if over_table else "",
             markdown.worst((result.resting for result in results), 1) if over_table else "",

@@ -37,7 +37,7 @@ def instance(value: Any, kind: type[T], name: str, hint: str = "") -> T:
     """Return `value` if it is an instance of `kind`.
 
     Raises:
-        TypeError: `value` has another type; the message contains `hint`.
+        TypeError: `value` has another type; the message contains `hint`, or else that of `HINTS`.
     """
     if not isinstance(value, kind):
         hint = hint or HINTS.get(kind, "")

@@ -1,6 +1,6 @@
 """Commands of a transfer of the weight to the servos of two joints, compared with recorded ones.
 
-The joints have the friction, stops and encoders of a plant in this file, which takes milliseconds.
+The plant in this file simulates the joints with friction, stops and encoders, in milliseconds.
 `python tests/arm/test_transfer.py` prints the rows again, after an intended change.
 """
 

@@ -284,8 +284,8 @@ def test_joint_targets_lead_an_arm_out_of_its_rest_pose(name, soft):
         for tick in pliant.Loop(arm, controller, duration=5.0):
             tick.write(controller.step_joints(tick.q, target, dt=tick.dt))
         arm.leave_enabled()
-    # Joints may miss the target, because friction stops the null-space motion early: measured 0.01
-    # to 0.22; 1.4 if the arm gets stuck [rad].
+    # Joints may miss the target, because friction stops the null-space motion early: the largest
+    # measured distance is 0.01 to 0.22 rad, and 1.4 rad if the arm gets stuck.
     np.testing.assert_allclose(tick.q, target, atol=0.3)
     tool, target_tool = (arm.model.forward_kinematics(q)[:3, 3] for q in (tick.q, target))
     # On a soft axis, friction larger than the cap keeps the tool from reaching its target.

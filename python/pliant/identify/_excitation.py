@@ -144,7 +144,8 @@ class Excitation:
     def limits(self, q: ArrayLike) -> Array:
         """Return the torque limits at positions q (n,) [N·m], at most the maximum torque.
 
-        They are 1.3 times the gravity torque plus `torque_share` times the maximum torque.
+        They are 1.3 times the torque that holds the arm, of gravity and `extra_torque`, plus
+        `torque_share` times the maximum torque.
         """
         needed = (
             1.3 * np.abs(self.model.gravity(q) + self.extra_torque)

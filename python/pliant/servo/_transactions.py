@@ -630,7 +630,8 @@ class TransactionGuard(PortState):
     def find_unused_id(self, used: Iterable[int], highest: int) -> None:
         """Find the highest id without a servo, for the pings that drain the line.
 
-        Keep the present id if every id seems to answer, as on a line with echo.
+        Keep the present id if all of the first `UNUSED_ID_TRIES` ids seem to answer, as on a line
+        with echo.
 
         Args:
             used: Ids of the servos.

@@ -40,8 +40,8 @@ impl PortState {
         !(self.is_dirty || self.is_gone) && self.missing.bind(py).is_empty()
     }
 
-    /// Starts a control cycle of `budget` [s] with a request; returns its time [s] on the clock of timeouts and on that
-    /// of readings.
+    /// Starts a control cycle of `budget` [s] and counts its first request; returns the start time [s] on the clock of
+    /// timeouts and on that of readings.
     pub(crate) fn start_cycle(slf: &Bound<'_, Self>, budget: f64) -> PyResult<[f64; 2]> {
         let py = slf.py();
         let (clock, sample_clock) = {

@@ -149,8 +149,8 @@ const HISTORY: usize = 256;
 /// Phase of a descent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum LoweringPhase {
-    /// Moves toward the rest pose: the goals move at `u = 4/s (q_rest − q)`. Leads that are larger than the torque limits
-    /// allow shrink before.
+    /// Moves toward the rest pose: the goals move at `u = 4/s (q_rest − q)`, after leads that are larger than the torque
+    /// limits allow have been reduced.
     Rest,
     /// Descends until no joint holds a load.
     Down,
