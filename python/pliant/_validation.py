@@ -11,6 +11,8 @@ import numpy as np
 from pliant._core import ConfigError, Model, OutOfRangeError, Servos, ShapeError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from numpy.typing import ArrayLike
 
     from pliant._typing import Array
@@ -115,6 +117,14 @@ def vector(value: ArrayLike, n: int, name: str, unit: str = "") -> Array:
     if array.shape != (n,) or not np.isfinite(array).all():
         raise ShapeError(f"{name} must be {n} finite numbers{label}, got {format_value(value)}")
     return array
+
+
+def named_together(texts: Iterable[tuple[str, str]]) -> list[tuple[str, str]]:
+    """Return pairs of name and text in which the names with equal texts are joined by commas."""
+    names: dict[str, list[str]] = {}
+    for name, text in texts:
+        names.setdefault(text, []).append(name)
+    return [(", ".join(same), text) for text, same in names.items()]
 
 
 def rounded_up(value: float) -> str:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pliant._core import ConfigError, OutOfRangeError, ShapeError
-from pliant._validation import format_value, number, real
+from pliant._validation import format_value, named_together, number, real
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -163,12 +163,9 @@ def setting(error: PliantError) -> str:
 
 def join_faults(faults: Iterable[str]) -> str:
     """Return one text for faults `name: text`, with joints of equal texts named together."""
-    names: dict[str, list[str]] = {}
-    for fault in faults:
-        name, _, text = fault.partition(": ")
-        names.setdefault(text, []).append(name)
+    parts = (fault.partition(": ") for fault in faults)
     return "; ".join(
-        ", ".join(joints) + (f": {text}" if text else "") for text, joints in names.items()
+        map("".join, named_together((name, colon + text) for name, colon, text in parts))
     )
 
 

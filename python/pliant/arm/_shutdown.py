@@ -18,11 +18,13 @@ from pliant._core import (
     ServoFaultError,
     torque_margin,
 )
+from pliant._validation import named_together
+from pliant.arm._checks import join_faults
 from pliant.arm._messages import MESSAGES
 from pliant.arm._signals import name_of, signal_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Sequence
 
     from pliant._typing import Array, Mask
     from pliant.arm._io import ArmIO
@@ -89,8 +91,7 @@ class ExitMessages:
         self._mark = float("inf"), 0.0
         self._abort = "Ctrl-C twice leaves"
         self._known_faults: set[str] | None = None
-        # Names of the joints with a new fault, by the text of the fault.
-        self._new_faults: dict[str, list[str]] = {}
+        self._new_faults: list[str] = []
 
     def begin(self, *, interrupted: bool = False, abort: str | None = None) -> Message:
         """Send and return the message that the arm is being lowered, and how to abort it.
@@ -161,10 +162,7 @@ class ExitMessages:
         if known is None:
             known = _kinds(texts)
         self._known_faults = _kinds(texts) | known
-        for text in texts:
-            if not _kinds((text,)) <= known:
-                name, _, what = text.partition(": ")
-                self._new_faults.setdefault(what, []).append(name)
+        self._new_faults += [text for text in texts if not _kinds((text,)) <= known]
 
     def lowered(self, *, has_signal: bool = False) -> str:
         """Send the message that the arm rests with torque off, and return its text.
@@ -239,8 +237,7 @@ class ExitMessages:
     def _post(self, text: str, level: int) -> str:
         """Send a last message, after one with the faults of the descent; return its text."""
         if self._new_faults:
-            found = [f"{', '.join(names)}: {what}" for what, names in self._new_faults.items()]
-            told = f"{self._name}, while it was lowered: {'; '.join(found)}"
+            told = f"{self._name}, while it was lowered: {join_faults(self._new_faults)}"
             MESSAGES.post(told, logging.WARNING)
             self._new_faults.clear()
         MESSAGES.post(text, level)
@@ -399,7 +396,8 @@ def descend(
                 _end(error)
         if lowering.phase == "rest" and (unfit := io.unfit_joints(now)):
             # Without this joint, the others would move along another path, which may lead upward.
-            on_detour(_unfit_text(unfit))
+            reasons = [f"{names} ({reason})" for names, reason in named_together(unfit.items())]
+            on_detour(f"{', '.join(reasons)} may not follow to the rest pose")
             rest = None
             lowering.skip_rest()
         is_on_way = lowering.phase == "rest"
@@ -448,15 +446,6 @@ def _end(error: Exception) -> NoReturn:
         "the bus is gone while the arm was being lowered: servos that have power keep their last "
         "goal and limit; support the arm before you cut the supply"
     ) from error
-
-
-def _unfit_text(unfit: Mapping[str, str]) -> str:
-    """Return a text about joints that may not follow to the rest pose; `unfit` has the reasons."""
-    names: dict[str, list[str]] = {}
-    for name, reason in unfit.items():
-        names.setdefault(reason, []).append(name)
-    found = [f"{', '.join(joints)} ({reason})" for reason, joints in names.items()]
-    return f"{', '.join(found)} may not follow to the rest pose"
 
 
 def _missed_pose(io: ArmIO, rest: Array | None, lowering: Lowering) -> str | None:

@@ -8,6 +8,7 @@ from math import inf
 from typing import TYPE_CHECKING, NamedTuple
 
 from pliant._core import ServoError, ServoFaultError
+from pliant._validation import named_together
 from pliant.servo._device import TRIPPED
 from pliant.servo._handshake import RegisterImage, read_image
 from pliant.servo._port import write_groups
@@ -458,15 +459,12 @@ def disable(devices: Sequence[Device], ports: Ports) -> None:
 
 def _first_names(problems: Iterable[tuple[Device, str]]) -> str:
     """Return one text about servos and their problems: names first, each problem once."""
-    names: dict[str, list[str]] = {}
-    for device, text in problems:
-        names.setdefault(text.removeprefix(device.name), []).append(device.name)
+    texts = ((device.name, text.removeprefix(device.name)) for device, text in problems)
     # A text that is not about the servo, but about its port, has no name to replace.
-    found = [
-        f"{', '.join(served)}{'' if text.startswith(' ') else ': '}{text}"
-        for text, served in names.items()
-    ]
-    return "; ".join(found)
+    return "; ".join(
+        f"{names}{'' if text.startswith(' ') else ': '}{text}"
+        for names, text in named_together(texts)
+    )
 
 
 def finish_disable(devices: Sequence[Device], ports: Ports, budget: float) -> None:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from pliant._core import ServoError
+from pliant._validation import named_together
 from pliant.servo._device import TRIPPED
 from pliant.servo._transactions import RESPONSE_DELAY
 from pliant.servo.eeprom import OVERLOAD_BIT, SAME_ID
@@ -145,13 +146,12 @@ def identify(port: Port) -> tuple[ServoInfo, ...]:
     if missing:
         errors.insert(0, _missing(port, missing))
     infos = []
-    faulty: dict[str, list[str]] = {}
+    faulty: list[tuple[str, str]] = []
     unfit: dict[tuple[str, float, float], dict[str, float]] = {}
     for device, image in images:
         name = f"{device.spec.name} (id {device.id})"
         faults = _check(device, image)
-        for text in faults:
-            faulty.setdefault(text, []).append(name)
+        faulty += [(name, text) for text in faults]
         low, high = _supply(device, image)
         has_supply = low <= (volts := image["voltage"] / 10.0) <= high
         if not has_supply and image["model"] == device.row.model_number:
@@ -162,8 +162,9 @@ def identify(port: Port) -> tuple[ServoInfo, ...]:
             except ServoError as error:
                 errors.append(str(error))
     for servo, readings in unfit.items():
-        faulty[_supply_error(*servo, list(readings.values()))] = list(readings)
-    errors += [f"{', '.join(names)} on {port.path}: {text}" for text, names in faulty.items()]
+        text = _supply_error(*servo, list(readings.values()))
+        faulty += [(name, text) for name in readings]
+    errors += [f"{names} on {port.path}: {text}" for names, text in named_together(faulty)]
     if errors:
         raise ServoError("\n".join(errors))
     port.guard.response_delay = RESPONSE_DELAY + max(info.return_delay for info in infos)
