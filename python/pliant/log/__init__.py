@@ -9,6 +9,13 @@ same version of pliant. If the writer process is too slow, calls are missing (`L
 >>> log.q, log.goal, pliant.log.verify(log).same
 """
 
+from pliant._extras import missing
+
+try:
+    import mcap_ros2.writer  # noqa: F401 - imports mcap and zstandard too
+except ImportError as error:
+    raise ImportError(missing("pliant.log", "log")) from error
+
 from pliant.log.journal import Journal
 from pliant.log.reader import Log, read
 from pliant.log.recorder import Recorder

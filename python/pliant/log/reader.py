@@ -10,11 +10,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from mcap.records import Attachment, Channel, Message, Schema
+from mcap_ros2.decoder import DecoderFactory
 
 from pliant._core import ConfigError, Controller, Model, Servos, Settings
 from pliant._files import check_regular
 from pliant.log import layout, serialization
-from pliant.log._mcap import Attachment, Channel, DecoderFactory, Message, Schema
 from pliant.log.records import CutShortError, DamagedError, records
 
 if TYPE_CHECKING:
@@ -34,8 +35,6 @@ RUN_FIELDS: tuple[tuple[str, Any, bool], ...] = (
     ("settings", Settings, True),
     ("config", str, True),
 )
-#: Errors that the parser can raise for a malformed file.
-PARSE_ERRORS = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
 
 
 @dataclass
@@ -113,7 +112,7 @@ def read(path: str | Path) -> Log:
         return _read(Path(path))
     except ConfigError:  # which is a ValueError too
         raise
-    except PARSE_ERRORS as error:
+    except serialization.PARSE_ERRORS as error:
         kind = type(error).__name__
         raise ConfigError(f"{path} is not a log of pliant: {kind}: {error}") from error
 

@@ -11,19 +11,12 @@ import zlib
 from io import BytesIO
 from typing import TYPE_CHECKING, BinaryIO
 
-from pliant.log._mcap import (
-    Attachment,
-    Chunk,
-    McapError,
-    McapRecord,
-    Message,
-    Opcode,
-    ReadDataStream,
-    Statistics,
-    ZstdError,
-    breakup_chunk,
-    frame_content_size,
-)
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Chunk, McapRecord, Message, Statistics
+from mcap.stream_reader import breakup_chunk
+from zstandard import ZstdError, frame_content_size
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

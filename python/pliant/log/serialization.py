@@ -23,6 +23,8 @@ from pliant._core import (
 )
 from pliant.functional import PaperOptions
 
+#: Errors that the parser of malformed text or of a malformed file can raise.
+PARSE_ERRORS = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
 #: Classes of objects that `write` converts to JSON and `read` restores, by class name.
 _TYPES = {
     kind.__name__: kind
@@ -60,14 +62,7 @@ def read(text: str) -> Any:
     """
     try:
         return _from_json(json.loads(text))
-    except (
-        ArithmeticError,
-        AttributeError,
-        LookupError,
-        RecursionError,
-        TypeError,
-        ValueError,
-    ) as error:
+    except PARSE_ERRORS as error:
         raise ConfigError(f"not the description of a run: {error}") from error
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pliant._core import Command, ConfigError, Controller, Settings, __version__
+from pliant.log import layout
 from pliant.log.reader import Log, arguments
 
 if TYPE_CHECKING:
@@ -18,8 +19,6 @@ if TYPE_CHECKING:
 
 #: Methods of `Controller`, besides `step` and `step_joints`, whose calls a log may contain.
 REPLAYED_CALLS = ("reset", "update", "set_payload", "set_gravity", "set_delay", "capture_gravity")
-#: Fields of a command that are compared with the log.
-COMMAND = ("goal", "torque_limit", "speed_limit")
 
 
 @dataclass(frozen=True)
@@ -62,7 +61,7 @@ def verify(log: Log, settings: Settings | None = None) -> Verification:
     """
     goals, limits, differing, largest = [], [], 0, 0.0
     for call, _, command in steps(log, settings):
-        pairs = [(np.array(getattr(call, name)), getattr(command, name)) for name in COMMAND]
+        pairs = [(np.array(getattr(call, name)), getattr(command, name)) for name in layout.COMMAND]
         differing += any(a.tobytes() != np.asarray(b).tobytes() for a, b in pairs)
         largest = max(largest, float(np.abs(pairs[0][0] - pairs[0][1]).max()))
         goals.append(np.array(command.goal))

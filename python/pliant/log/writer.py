@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from mcap_ros2.writer import Writer
 
 from pliant._files import replacing
 from pliant._processes import lower_priority
@@ -27,7 +28,6 @@ from pliant._ros_messages import (
     tf_message,
 )
 from pliant.log import frames, layout, serialization
-from pliant.log._mcap import Writer
 from pliant.log.journal import STEP
 
 if TYPE_CHECKING:
