@@ -11,8 +11,6 @@ from pliant.view import messages
 from pliant.view.snapshot import SettingsView
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from pliant._core import Controller
     from pliant._typing import Array
 
@@ -44,25 +42,23 @@ class SettingsEditor:
 
         If the file leaves all task axes at their defaults, the first preset sets them.
         """
-        self._rate = rate
-        self._makers = _presets(axes)
-        self.preset = next(iter(self._makers))
+        presets = _presets(axes)
+        first = next(iter(presets))
         if file_settings is not None:
-            limited = _limit_speeds(self._makers, file_settings)
-            self._makers = {FILE_PRESET: lambda: file_settings, **limited}
-            if _has_default_axes(file_settings):
+            limited = {name: _limit_speed(each, file_settings) for name, each in presets.items()}
+            presets = {FILE_PRESET: file_settings} | limited
+            if all(file_settings.axes[name] == Axis() for name in file_settings.task.names):
                 # Let the first preset set only the axes; all other settings are those of the file.
-                first = self._axes(self._makers[self.preset]())
-                self._makers[self.preset] = lambda: file_settings.replace(axes=first)
+                presets[first] = file_settings.replace(axes=self._axes(presets[first]))
             else:
-                self.preset = FILE_PRESET
-        self.firm = False
-        self.settings = self._make(self.preset)
+                first = FILE_PRESET
+        self._presets = {name: each.replace(rate=rate) for name, each in presets.items()}
+        self.begin(first)
 
     @property
     def presets(self) -> tuple[str, ...]:
         """Names of all presets, the settings of the file (if any) included."""
-        return tuple(self._makers)
+        return tuple(self._presets)
 
     def begin(self, preset: str) -> None:
         """Replace all settings by those of a preset, and set `firm` to False.
@@ -70,7 +66,9 @@ class SettingsEditor:
         Raises:
             ConfigError: No preset has this name.
         """
-        self.settings, self.preset, self.firm = self._make(preset), preset, False
+        if preset not in self._presets:
+            raise ConfigError(f"no preset {preset!r}; there are {', '.join(self._presets)}")
+        self.settings, self.preset, self.firm = self._presets[preset], preset, False
 
     @property
     def effective(self) -> Settings:
@@ -157,11 +155,6 @@ class SettingsEditor:
         """Return the entries of `Settings.axes`, which has six axes, for the axes of the task."""
         return {name: a for name, a in settings.axes.items() if name in settings.task.names}
 
-    def _make(self, name: str) -> Settings:
-        if name not in self._makers:
-            raise ConfigError(f"no preset {name!r}; there are {', '.join(self._makers)}")
-        return self._makers[name]().replace(rate=self._rate)
-
 
 def yields_of(axis: Axis) -> Literal["both", "+", "-", "none"]:
     """Return `Axis.yields`; if it is None, `both` if the axis has a force cap, else `none`."""
@@ -170,42 +163,19 @@ def yields_of(axis: Axis) -> Literal["both", "+", "-", "none"]:
     return "none" if axis.soft is None and axis.firm is None else "both"
 
 
-def _has_default_axes(settings: Settings) -> bool:
-    """Return True if the settings leave every axis of their task at the defaults."""
-    return all(settings.axes[name] == Axis() for name in settings.task.names)
+def _limit_speed(settings: Settings, bounds: Settings) -> Settings:
+    """Return settings with the tool speeds of `bounds` as upper bounds."""
+    (speed, turn), (max_speed, max_turn) = settings.max_tool_speed, bounds.max_tool_speed
+    return settings.replace(max_tool_speed=(min(speed, max_speed), min(turn, max_turn)))
 
 
-def _limit_speeds(
-    makers: dict[str, Callable[[], Settings]], bounds: Settings
-) -> dict[str, Callable[[], Settings]]:
-    """Return functions that make the presets, with the tool speeds of `bounds` as upper bounds."""
-
-    def limited(make: Callable[[], Settings]) -> Callable[[], Settings]:
-        def changed() -> Settings:
-            out = make()
-            (speed, turn), (max_speed, max_turn) = out.max_tool_speed, bounds.max_tool_speed
-            return out.replace(max_tool_speed=(min(speed, max_speed), min(turn, max_turn)))
-
-        return changed
-
-    return {name: limited(make) for name, make in makers.items()}
-
-
-def _presets(axes: str) -> dict[str, Callable[[], Settings]]:
-    """Return, by name, the functions that make the presets; some exist only for six task axes."""
+def _presets(axes: str) -> dict[str, Settings]:
+    """Return the presets by name; some exist only for six task axes."""
     task = Task(axes=axes)
     names = task.names
-
-    def soft(which: str) -> Callable[[], Settings]:
-        return lambda: Settings.soft(which, task=task)
-
-    def named(which: str) -> Callable[[], Settings]:
-        return lambda: cast("Settings", getattr(Settings, which)(task=task))
-
-    out = {f"soft {name}": soft(name) for name in ("y", "x", "z") if name in names}
-    out["soft all"] = soft(" ".join(names))
+    out = {f"soft {name}": Settings.soft(name, task=task) for name in "yxz" if name in names}
+    out["soft all"] = Settings.soft(" ".join(names), task=task)
     further = ("door", "drawer", "wipe", "plug", "paper") if len(names) == 6 else ()
-    return {
-        **out,
-        **{name: named(name) for name in ("firm", "hand_guiding", "hand_over", *further)},
-    }
+    for name in ("firm", "hand_guiding", "hand_over", *further):
+        out[name] = getattr(Settings, name)(task=task)
+    return out
