@@ -26,3 +26,13 @@ def missing(what: str, extra: str) -> str:
         extra: Name of the extra in `pyproject.toml`.
     """
     return f"{what} needs the extra \"{extra}\": {pip()} 'pliant[{extra}]'"
+
+
+def require(what: str, extra: str, *modules: str) -> None:
+    """Check that the modules of an extra are installed; `what` needs them.
+
+    Raises:
+        ImportError: A module is missing; the message has the command that installs the extra.
+    """
+    if not all(map(importlib.util.find_spec, modules)):
+        raise ImportError(missing(what, extra))

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 import pliant.robots
-from pliant._core import ConfigError, PliantError
-from pliant._extras import missing
+from pliant._core import ConfigError
+from pliant._extras import require
 from pliant.cli._console import Console
 from pliant.cli._flags import ArmName, ConfigFlags, File, HttpPort, check_log, check_port
 
@@ -51,15 +51,16 @@ def run(
     check_port(http_port)
     is_simulated = not arm or scene is not None
     check_log(log, [] if is_simulated else override.inputs(arm, override.load(arm)))
-    _check_extra()
+    require("the page", "view", "viser", "mjviser")
     from pliant.view.auth import is_loopback
     from pliant.view.ipc import Link
     from pliant.view.session import Session
+    from pliant.view.source import Configured
 
     source = (
         _simulated(arm or "arm7", scene or "free", rate, override)
         if is_simulated
-        else _configured(arm, override)
+        else Configured(override.load(arm))
     )
     console = Console()
     with Link(host, http_port) as link:
@@ -95,21 +96,3 @@ def _simulated(robot: str, scene: str, rate: float, override: ConfigFlags) -> So
     source = Simulated(robot, scene, rate)
     source.arm()  # so that an invalid rate is an error before the page starts
     return source
-
-
-def _configured(arm: str, override: ConfigFlags) -> Source:
-    """Return the `Source` that connects to the arm of a configuration."""
-    from pliant.view.source import Configured
-
-    return Configured(override.load(arm))
-
-
-def _check_extra() -> None:
-    """Raise a `PliantError` with the install command if the extra `view` is not installed."""
-    from importlib import import_module
-
-    for name in ("viser", "mjviser"):
-        try:
-            import_module(name)
-        except ImportError as error:
-            raise PliantError(missing("the page", "view")) from error

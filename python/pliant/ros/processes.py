@@ -5,10 +5,9 @@ from __future__ import annotations
 import json
 import math
 import re
-from importlib.util import find_spec
 
 from pliant._core import ConfigError
-from pliant._extras import missing
+from pliant._extras import require
 from pliant.view.ipc import ProcessLink
 
 #: Address on which the ROS 2 node listens by default: the port of a zenoh router, this computer.
@@ -48,7 +47,7 @@ def ros_link(
         )
     if not 0 <= domain <= MAX_DOMAIN:
         raise ConfigError(f"ROS domain id = {domain} is outside [0, {MAX_DOMAIN}]")
-    _check_extra("pliant ros", "ros", "zenoh", "rosbags")
+    require("pliant ros", "ros", "zenoh", "rosbags")
     options = {
         "name": name,
         "namespace": namespace,
@@ -75,15 +74,8 @@ def foxglove_link(
         ImportError: The extra `foxglove` is not installed.
         PliantError: The address is taken.
     """
-    _check_extra("pliant foxglove", "foxglove", "foxglove", "rosbags")
+    require("pliant foxglove", "foxglove", "foxglove", "rosbags")
     options = {"host": host, "port": port, "allow_commands": allow_commands}
     return ProcessLink(
         "Foxglove server", "pliant.ros.foxglove_server", json.dumps(options), rate=math.inf
     )
-
-
-def _check_extra(what: str, extra: str, *modules: str) -> None:
-    """Raise an ImportError with the install command if a module of an extra is missing."""
-    for module in modules:
-        if find_spec(module) is None:
-            raise ImportError(missing(what, extra))
