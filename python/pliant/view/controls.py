@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import viser
 
+from pliant._validation import AXES
 from pliant.view import html, messages
 from pliant.view.settings_editor import LAWS
 
@@ -159,7 +160,7 @@ class Controls:
     def _push_message(self, seconds: float) -> messages.Push:
         side = self.side.value
         wrench = np.zeros(6)
-        index = ("x", "y", "z", "roll", "pitch", "yaw").index(side[1:])
+        index = AXES.index(side[1:])
         wrench[index] = self.force.value if side[0] == "+" else -self.force.value
         x, y, z, *torque = wrench.tolist()
         return messages.Push((x, y, z), (torque[0], torque[1], torque[2]), seconds)

@@ -18,14 +18,11 @@ import time
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from queue import SimpleQueue
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 from pliant._core import PliantError
 from pliant._processes import start_module, take_socket
 from pliant.view.messages import Edit, Message, Queue
-
-if TYPE_CHECKING:
-    pass
 
 #: Maximum rate at which the loop sends snapshots of the arm to the browser page [Hz].
 SNAPSHOT_RATE = 30.0

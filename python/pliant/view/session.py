@@ -206,7 +206,7 @@ class Session:
         self.publisher.shown = self.editor.describe(controller, q)
         info = SceneInfo(
             mj_model=self._robot.plant.mj_model,
-            arm=display_name(arm.model.name),
+            arm=DISPLAY_NAMES.get(arm.model.name, arm.model.name),
             where=self._source.where,
             axes=names,
             joints=arm.model.joint_names,
@@ -342,8 +342,3 @@ class Session:
             clock.wait_until(clock.now() + POLL_PERIOD)
             if self._pacer is not None:
                 self._pacer.wait()
-
-
-def display_name(name: str) -> str:
-    """Return the display name of an arm by the robot name in its URDF."""
-    return DISPLAY_NAMES.get(name, name)
