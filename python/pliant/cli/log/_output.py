@@ -1,4 +1,4 @@
-"""Checks of the file that `pliant log plot` and `pliant log export` write."""
+"""Log and output file of `pliant log plot` and `pliant log export`."""
 
 from __future__ import annotations
 
@@ -13,30 +13,33 @@ if TYPE_CHECKING:
     from pliant.log import Log
 
 
-def check_output(output: Path | None, command: str, suffixes: tuple[str, ...], hint: str) -> None:
-    """Check that `--output` has a supported suffix and an existing folder.
+def read_for_output(
+    path: Path,
+    output: Path | None,
+    suffixes: tuple[str, ...],
+    *,
+    command: str,
+    kind: str,
+    hint: str = "",
+) -> tuple[Log, Path]:
+    """Return a log, and the path of the file to write.
+
+    The file is `output`, or else the path of the log with the first of the possible suffixes.
 
     Raises:
-        ConfigError: The suffix is not supported, or the folder does not exist.
+        ConfigError: The suffix of `output` is not possible, or the file cannot be written, is the
+            log itself, or exists and is not of this kind; or the log has no ticks.
     """
-    if output is None:
-        return
-    if output.suffix not in suffixes:
+    from pliant.log import read
+
+    if output is not None and output.suffix not in suffixes:
         raise ConfigError(
             f"--output {output}: {command} writes {', '.join(suffixes)}{hint}, "
             f"got {output.suffix or 'no suffix'}"
         )
-    if not output.absolute().parent.is_dir():
-        raise ConfigError(f"--output {output}: there is no folder {output.absolute().parent}")
-
-
-def check_log_and_output(path: Path, log: Log, output: Path, kind: str) -> None:
-    """Check that a log has ticks (control cycles) and that the output file can be written.
-
-    Raises:
-        ConfigError: The log at `path` has no ticks; or the output file cannot be written, is the
-            log itself, or exists and is not of this kind.
-    """
-    check_writable(output, kind, [path])
+    file = output or path.with_suffix(suffixes[0])
+    check_writable(file, kind, [path])
+    log = read(path)
     if not len(log):
         raise ConfigError(f"{path} has no ticks")
+    return log, file

@@ -10,7 +10,7 @@ from pliant._extras import pip
 from pliant._files import replacing
 from pliant.cli._console import print_line
 from pliant.cli._flags import File, LogFile
-from pliant.cli.log._output import check_log_and_output, check_output
+from pliant.cli.log._output import read_for_output
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -27,14 +27,11 @@ def run(log: LogFile, *, output: File = None, parquet: bool = False) -> None:
             log, with its name.
         parquet: Write Parquet instead of NumPy's npz (needs pyarrow).
     """
-    from pliant.log import read
-
     suffix = ".parquet" if parquet else ".npz"
     hint = "" if parquet else " (--parquet writes .parquet)"
-    check_output(output, "pliant log export", (suffix,), hint)
-    data = read(log)
-    file = output or log.with_suffix(suffix)
-    check_log_and_output(log, data, file, "table")
+    data, file = read_for_output(
+        log, output, (suffix,), command="pliant log export", kind="table", hint=hint
+    )
     with replacing(file) as temporary:
         if parquet:
             _parquet(temporary, data)

@@ -8,7 +8,7 @@ from pliant._extras import missing
 from pliant._files import replacing
 from pliant.cli._console import print_line
 from pliant.cli._flags import File, LogFile
-from pliant.cli.log._output import check_log_and_output, check_output
+from pliant.cli.log._output import read_for_output
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -40,12 +40,7 @@ def run(log: LogFile, *, output: File = None) -> None:
         output: Output path. A file ending in .png, .svg or .pdf. Default: a .png beside the log,
             with its name.
     """
-    from pliant.log import read
-
-    check_output(output, "pliant log plot", SUFFIXES, "")
-    data = read(log)
-    file = output or log.with_suffix(".png")
-    check_log_and_output(log, data, file, "picture")
+    data, file = read_for_output(log, output, SUFFIXES, command="pliant log plot", kind="picture")
     with replacing(file) as temporary:
         _plot(temporary, data)
     print_line(str(file))
