@@ -6,14 +6,16 @@ import contextlib
 import queue
 import sys
 import threading
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from rich.box import SIMPLE_HEAD
 from rich.console import Console as RichConsole
+from rich.table import Table
 
 from pliant._core import ConfigError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Collection, Sequence
 
     from pliant.arm import Arm
     from pliant.loop import Loop
@@ -45,6 +47,17 @@ def print_summary(arm: Arm, loop: Loop, notes: Sequence[str] = ()) -> None:
         f"{len(loop.lateness)} ticks, late by {loop.lateness}; {loop.missed} missed; bus: {counts}",
         highlight=False,
     )
+
+
+def make_table(*headings: str, right: Collection[str] = (), **options: Any) -> Table:
+    """Return a table without rows; the columns `right` are aligned to the right.
+
+    `options` are those of `rich.table.Table`.
+    """
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, **options)
+    for heading in headings:
+        table.add_column(heading, justify="right" if heading in right else "left")
+    return table
 
 
 class Keyboard:

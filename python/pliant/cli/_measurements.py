@@ -15,11 +15,10 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
 
 from pliant._core import ConfigError
 from pliant._files import check_output, read_text, replacing
+from pliant.cli._console import make_table
 from pliant.config.doctor import time_readings, wire_read_time
 from pliant.servo import ServoBus
 from pliant.servo._port import latency_timer
@@ -27,6 +26,8 @@ from pliant.servo._port import latency_timer
 if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
+
+    from rich.table import Table
 
     from pliant import identify
     from pliant.arm import Arm
@@ -175,7 +176,7 @@ class Measurements:
 
     def table(self) -> Table:
         """Return a table of assumed, predicted and measured values, to be printed."""
-        out = Table("", "assumed", "measured", "ratio", box=SIMPLE_HEAD, pad_edge=False)
+        out = make_table("", "assumed", "measured", "ratio")
         for step, how in (("servos", ""), ("weight", " by weight")):
             for joint in self.steps.get(step, {}).get("joints", ()):
                 for key, name in (("kp", f"k_p{how}, N·m/rad"), ("friction", "friction, N·m")):

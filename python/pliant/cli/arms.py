@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import difflib
 import sys
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
 
 from pliant import config
 from pliant._core import ConfigError
-from pliant.cli._console import Console
+from pliant.cli._console import Console, make_table
 from pliant.config import loader
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 #: Optional name of a configuration in the package.
 Name = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]
@@ -40,9 +41,7 @@ def run(name: Name = "") -> None:
 
 def _table() -> Table:
     """Return a table with one row per arm: name, number of joints, servo models, URDF."""
-    table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    for heading in ("name", "joints", "servos", "URDF"):
-        table.add_column(heading, justify="right" if heading == "joints" else "left")
+    table = make_table("name", "joints", "servos", "URDF", right={"joints"})
     for name in loader.list_arms():
         arm_config = config.load(name)
         servos = dict.fromkeys(servo.model for servo in arm_config.servo.values())

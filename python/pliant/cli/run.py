@@ -6,19 +6,19 @@ from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import tyro
-from rich.box import SIMPLE_HEAD
 from rich.live import Live
-from rich.table import Table
 
 from pliant._core import Command, Controller, Model
 from pliant._validation import AXES
-from pliant.cli._console import Console, print_summary
+from pliant.cli._console import Console, make_table, print_summary
 from pliant.cli._control import check_settings, load, make_loop
 from pliant.cli._flags import ArmName, Axes, ConfigFlags, File, Seconds
 from pliant.cli._targets import Targets, open_targets
 from pliant.config import connect
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from pliant._typing import Array
     from pliant.arm import Arm
     from pliant.loop import Loop, Tick
@@ -136,9 +136,9 @@ def _table(
     tool: Array,
 ) -> Table:
     """Return the live table: tool position, deviation and softness per task axis, joint states."""
-    table = Table(box=SIMPLE_HEAD, pad_edge=False, title=f"{arm.name}, {tick.time:.0f} s")
-    for name in ("axis", "tool", "off by", "softness", "joint", "q", "limit", "of usable", "heat"):
-        table.add_column(name, justify="left" if name in {"axis", "joint"} else "right")
+    right = ("tool", "off by", "softness", "q", "limit", "of usable", "heat")
+    title = f"{arm.name}, {tick.time:.0f} s"
+    table = make_table("axis", *right[:3], "joint", *right[3:], right=right, title=title)
     axes = controller.settings.task.names
     last = controller.diagnostics
     error, softness = last.deviation, last.softness

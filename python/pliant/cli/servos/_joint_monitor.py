@@ -6,18 +6,17 @@ import time
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from rich.box import SIMPLE_HEAD
 from rich.live import Live
 from rich.markup import escape
-from rich.table import Table
 
-from pliant.cli._console import print_line
+from pliant.cli._console import make_table, print_line
 from pliant.config import factory
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from numpy.typing import ArrayLike
+    from rich.table import Table
 
     from pliant._core import Model
     from pliant._typing import Array, Mask
@@ -182,14 +181,9 @@ def _begin(console: Console, enabled: list[str]) -> None:
 
 
 def _table(monitor: JointMonitor) -> Table:
-    table = Table(
-        box=SIMPLE_HEAD,
-        pad_edge=False,
-        caption=f"{monitor.tool}\n{monitor.last_motion}\n{escape(monitor.rest)}",
-    )
-    table.caption_justify = "left"
-    for name in ("joint", "angle", r"limits \[rad]", "as it grows the tool"):
-        table.add_column(name, justify="right" if name == "angle" else "left")
+    headings = ("joint", "angle", r"limits \[rad]", "as it grows the tool")
+    caption = f"{monitor.tool}\n{monitor.last_motion}\n{escape(monitor.rest)}"
+    table = make_table(*headings, right={"angle"}, caption=caption, caption_justify="left")
     for row in monitor.rows:
         table.add_row(*row)
     return table

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
-
 from pliant._core import ConfigError, ServoError
-from pliant.cli._console import Console, print_line
+from pliant.cli._console import Console, make_table, print_line
 from pliant.cli._flags import Device
 from pliant.servo import serial_ports
 from pliant.servo.scan import ALL, BAUDRATES, USUAL, ScannedServo, scan
@@ -53,10 +50,7 @@ def run(*, port: Device = None, baud: int | None = None, deep: bool = False) -> 
 def _show(console: Console, scanned: list[ScannedServo]) -> None:
     for port in dict.fromkeys(servo.port for servo in scanned):
         console.print(port, highlight=False, soft_wrap=True)
-        table = Table(box=SIMPLE_HEAD, pad_edge=False)
-        table.add_column("id", justify="right")
-        for heading in ("model", "bit/s", "protocol", "note"):
-            table.add_column(heading)
+        table = make_table("id", "model", "bit/s", "protocol", "note", right={"id"})
         for servo in (servo for servo in scanned if servo.port == port):
             speed, protocol = str(servo.baudrate), f"{servo.protocol[1]}.0"
             table.add_row(str(servo.id), _model(servo), speed, protocol, servo.note)

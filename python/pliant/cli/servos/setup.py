@@ -9,12 +9,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
-
 from pliant._core import ConfigError, ServoError
 from pliant.arm._signals import HANDLED, exception
-from pliant.cli._console import Console, print_line
+from pliant.cli._console import Console, make_table, print_line
 from pliant.cli._flags import ArmName, BusFlags, File, Ids
 from pliant.cli.servos import _backup as backups
 from pliant.config import factory
@@ -231,9 +228,8 @@ class _Ports:
 
 
 def _show(console: Console, planned: list[RegisterChange]) -> None:
-    table = Table(box=SIMPLE_HEAD, pad_edge=False, title="EEPROM", title_justify="left")
-    for heading in ("joint", "id", "register", "is", "becomes", "so that it"):
-        table.add_column(heading)
+    headings = ("joint", "id", "register", "is", "becomes", "so that it")
+    table = make_table(*headings, title="EEPROM", title_justify="left")
     for change in planned:
         cells = (change.joint, change.id, change.register, change.old, change.new, change.why)
         table.add_row(*map(str, cells))
