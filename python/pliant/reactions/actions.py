@@ -107,14 +107,10 @@ class Hold(Action):
 
 
 @dataclass(frozen=True)
-class Stop(Action):
+class Stop(Hold):
     """Hold the present tool pose until `ReactionMonitor.resume()`."""
 
     is_latching = True
-
-    def begin(self, tick: TickContext) -> Running:
-        """Return a running action whose target is the present tool pose."""
-        return _FixedTarget(tick.tool.copy())
 
 
 class _ChangedSettings(Running):
