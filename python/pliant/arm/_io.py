@@ -399,14 +399,10 @@ class ArmIO(ArmCycle):
 
         Return None if its torque is off, or torque, goal or limit are unknown.
         """
-        drive, size, i = self.drive, len(self.joints.names), self.joints.index(name)
-        is_on, is_unknown = (
-            bool(np.broadcast_to(getattr(drive, mask, False), size)[i])
-            for mask in ("enabled", "torque_unknown")
-        )
-        if not is_on or is_unknown:
+        i = self.joints.index(name)
+        if not self.drive_mask("enabled")[i] or self.drive_mask("torque_unknown")[i]:
             return None
-        found = getattr(drive, "orders", None)
+        found = getattr(self.drive, "orders", None)
         if found is not None and math.isfinite(found[0][i] + found[1][i]):
             return float(found[0][i]), float(found[1][i])
         return self.orders.get(name)
@@ -438,12 +434,23 @@ class ArmIO(ArmCycle):
 
     def is_refused(self) -> bool:
         """Return True if the drive reports that a servo of the chain rejects goals."""
-        refusing = getattr(self.drive, "refusing", None)
-        return refusing is not None and bool(np.any(np.asarray(refusing)[self.joints.chain]))
+        return bool(self.drive_mask("refusing")[self.joints.chain].any())
+
+    def drive_mask(self, name: str, *, default: bool = False) -> Mask:
+        """Return the mask (N,) in an optional attribute of the drive.
+
+        `default` is the value for all joints if the drive does not have this attribute.
+        """
+        return np.broadcast_to(getattr(self.drive, name, default), len(self.joints.names))
+
+    def joints_where(self, name: str, *, default: bool = False) -> list[str]:
+        """Return the names of the joints for which `drive_mask` is True."""
+        mask = self.drive_mask(name, default=default)
+        return [joint for joint, on in zip(self.joints.names, mask, strict=True) if on]
 
     def without_torque(self) -> list[str]:
         """Return the names of the chain's joints whose torque is off, if the drive reports this."""
-        on = np.broadcast_to(getattr(self.drive, "enabled", True), len(self.joints.names))
+        on = self.drive_mask("enabled", default=True)
         return [self.joints.names[i] for i in self.joints.chain if not on[i]]
 
     # Methods that write to the drive.
@@ -517,8 +524,7 @@ class ArmIO(ArmCycle):
     def _reopen(self) -> tuple[Array, Array]:
         """Return goals and limits (N,) of `Drive.reopen`, and set `torque_unknown`."""
         goals, limits = self.drive.reopen()  # type: ignore[attr-defined]
-        on = np.broadcast_to(getattr(self.drive, "enabled", False), len(goals))
-        self.torque_unknown = on & np.isnan(goals)
+        self.torque_unknown = self.drive_mask("enabled") & np.isnan(goals)
         return goals, limits
 
     def ramp_limits(self, limit: Array | float = 0.0) -> None:

@@ -227,8 +227,7 @@ class Arm:
         self._supervisor.reason = None
         io = self._io
         duration = wait_for_all(io, self.rate)
-        names = io.joints.names
-        on = np.broadcast_to(getattr(self.drive, "enabled", False), len(names))[io.joints.chain]
+        on = io.drive_mask("enabled")[io.joints.chain]
         # A joint that has torque already must be taken over, however slow the bus is.
         warning = check_reading_time(io, duration, self.rate, required=not on.any())
         check_within_limits(io, on)
@@ -323,13 +322,12 @@ class Arm:
                 nothing has moved.
             ServoError: The bus is gone, or torque of a joint stayed on, or was left on before.
         """
-        if pose is None and self.rest_q is None:
+        target = self.rest_q
+        if pose is not None:
+            target = posture(self.model, pose, "pose")
+            check_rest(self.model, self._points, target, self.table, name="pose")
+        if target is None:
             raise ConfigError("no pose to park in: arm.park([...]) or connect(..., rest_q=[...])")
-        if pose is None:
-            self._descend(self.rest_q)
-            return
-        target = posture(self.model, pose, "pose")
-        check_rest(self.model, self._points, target, self.table, name="pose")
         self._descend(target)
 
     def leave_enabled(self) -> None:
@@ -392,7 +390,7 @@ class Arm:
                 self._opened = False
                 self.drive.close()
                 if self._guardian is None:  # a guardian asks these joints again
-                    self._report_unconfirmed()
+                    self._report_unrestored(self._exit_messages(None), is_off=False)
             if self._guardian is not None:
                 self._guardian.close(hand_over=self._is_unfinished)
                 self._is_handed_over = self._is_unfinished
@@ -488,8 +486,8 @@ class Arm:
             is_unknown = isinstance(error, ServoError) and not is_answering and not down
             self._exit_message = messages.failed(
                 error,
-                None if is_unknown else self._joints_where("enabled", True),
-                self._joints_where("torque_unknown", False),
+                None if is_unknown else self._io.joints_where("enabled", default=True),
+                self._io.joints_where("torque_unknown"),
                 down=down,
                 has_guardian=self._guardian is not None,
             )
@@ -506,33 +504,20 @@ class Arm:
             self._is_left_on = True
             self._exit_message = messages.left_enabled(stopped=True)
 
-    def _report_unrestored(self, messages: ExitMessages) -> None:
-        """Name the joints whose torque is off, and that keep torque limits of this program."""
-        unknown = self._joints_where("torque_unknown", False)
-        unrestored = self._joints_where("unrestored", False)
-        if names := [name for name in unrestored if name not in unknown]:
-            messages.unrestored(names)
+    def _report_unrestored(self, messages: ExitMessages, *, is_off: bool = True) -> None:
+        """Name the joints that keep torque limits of this program, and whose torque is off.
 
-    def _report_unconfirmed(self) -> None:
-        """Name the joints whose torque off and registers the drive could not confirm at its end."""
-        unrestored = self._joints_where("unrestored", False)
-        unknown = self._joints_where("torque_unknown", False)
-        if names := [name for name in unrestored if name in unknown]:
-            self._exit_messages(None).unrestored(names)
+        With `is_off` False, name those whose torque is unknown instead.
+        """
+        unknown = self._io.joints_where("torque_unknown")
+        unrestored = self._io.joints_where("unrestored")
+        if names := [name for name in unrestored if (name in unknown) != is_off]:
+            messages.unrestored(names)
 
     def _hold(self) -> None:
         """Send goals and torque limits that hold the present pose; ignore all errors."""
         with contextlib.suppress(Exception):
             hold_position(self._io)
-
-    def _joints_where(self, mask: str, default: bool) -> list[str]:
-        """Return the joints for which the drive's attribute `mask` is True.
-
-        `default` is the value for a drive that does not have this attribute.
-        """
-        names = self._io.joints.names
-        values = np.broadcast_to(getattr(self.drive, mask, default), len(names))
-        return [name for name, value in zip(names, values, strict=True) if value]
 
     @property
     def _ports(self) -> str:
@@ -828,8 +813,12 @@ class Arm:
         """Return the error for a use of the arm while no process controls it: state and remedy."""
         if self._is_unfinished:
             guardian = ", arm.close() leaves it to its guardian" if self._guardian else ""
-            unknown = self._joints_where("torque_unknown", False)
-            on = [name for name in self._joints_where("enabled", True) if name not in unknown]
+            unknown = self._io.joints_where("torque_unknown")
+            on = [
+                name
+                for name in self._io.joints_where("enabled", default=True)
+                if name not in unknown
+            ]
             states = [f"ON in {', '.join(on)}"] if on else []
             states += [f"not known in {', '.join(unknown)}"] if unknown else []
             return ServoError(
