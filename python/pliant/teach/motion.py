@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from pliant._core import Model
-    from pliant._typing import Array, Mask
+    from pliant._typing import Array
     from pliant.log import Log
 
 
@@ -206,7 +206,8 @@ class Motion:
             )
         first, last = self.time[moved[0]] - REST_TIME, self.time[not_arrived[-1]] + REST_TIME
         mask = (self.time >= first) & (self.time <= last)
-        return self._select(mask)
+        extra = {name: row[mask] for name, row in self.extra.items()}
+        return replace(self, time=self.time[mask], q=self.q[mask], extra=extra, start=None)
 
     def smoothed(self, width: float = 0.1, rate: float = RATE) -> Motion:
         """Return a copy at a constant sample rate, smoothed by a Gaussian filter without time lag.
@@ -242,10 +243,6 @@ class Motion:
         q = np.column_stack([smooth(row) for row in self.q.T])
         extra = {name: smooth(row) for name, row in self.extra.items()}
         return replace(self, time=time, q=q, extra=extra)
-
-    def _select(self, mask: Mask) -> Motion:
-        extra = {name: row[mask] for name, row in self.extra.items()}
-        return replace(self, time=self.time[mask], q=self.q[mask], extra=extra, start=None)
 
     def save(self, path: str | Path) -> None:
         """Write a JSON file with one sample per line.

@@ -160,15 +160,35 @@ def record(
     on_status("do not touch: the arm swings a little to find its weight")
     recorded: Motion | None = None
     try:
-        _record(
-            arm,
-            teacher,
-            seconds=seconds,
-            idle_timeout=idle_timeout,
-            start_timeout=start_timeout,
-            should_toggle=should_toggle,
-            on_status=on_status,
-        )
+        start_time = 0.0
+        for tick in Loop(arm):
+            was_ready = teacher.ready
+            tick.write(teacher.step(tick.state, dt=tick.dt), teacher.extra(tick.state))
+            if not teacher.ready:
+                continue
+            if not was_ready:
+                ends = (
+                    f"a rest of {idle_timeout:g} s ends the recording"
+                    if should_toggle is None
+                    else STARTS_AND_STOPS
+                )
+                on_status(f"ready: lead the arm; {ends}")
+                start_time = tick.time
+            is_toggled = should_toggle is not None and should_toggle(teacher, tick.state)
+            if not teacher.recording and (should_toggle is None or is_toggled):
+                teacher.start()
+                start_time = tick.time
+                on_status(RECORDING)
+                continue
+            elapsed = tick.time - start_time
+            if teacher.recording and (
+                is_toggled
+                or (teacher.moved and should_toggle is None and teacher.still > idle_timeout)
+                or (seconds is not None and elapsed > seconds)
+            ):
+                break
+            if elapsed > start_timeout and not teacher.moved:
+                raise PliantError(f"the arm was not moved by hand within {start_timeout:g} s")
         recorded = teacher.stop()
         motion = recorded.trimmed().smoothed().for_model(arm.model)
         on_status(f"kept {motion.duration:.1f} s")
@@ -179,45 +199,3 @@ def record(
             on_interrupt(recorded)
         raise
     return motion
-
-
-def _record(
-    arm: Arm,
-    teacher: Teacher,
-    *,
-    seconds: float | None,
-    idle_timeout: float,
-    start_timeout: float,
-    should_toggle: Callable[[Teacher, State], bool] | None,
-    on_status: Callable[[str], None],
-) -> None:
-    """Run the control loop from the initial oscillation to the end of the recording."""
-    start_time = 0.0
-    for tick in Loop(arm):
-        was_ready = teacher.ready
-        tick.write(teacher.step(tick.state, dt=tick.dt), teacher.extra(tick.state))
-        if not teacher.ready:
-            continue
-        if not was_ready:
-            ends = (
-                f"a rest of {idle_timeout:g} s ends the recording"
-                if should_toggle is None
-                else STARTS_AND_STOPS
-            )
-            on_status(f"ready: lead the arm; {ends}")
-            start_time = tick.time
-        is_toggled = should_toggle is not None and should_toggle(teacher, tick.state)
-        if not teacher.recording and (should_toggle is None or is_toggled):
-            teacher.start()
-            start_time = tick.time
-            on_status(RECORDING)
-            continue
-        elapsed = tick.time - start_time
-        if teacher.recording and (
-            is_toggled
-            or (teacher.moved and should_toggle is None and teacher.still > idle_timeout)
-            or (seconds is not None and elapsed > seconds)
-        ):
-            break
-        if elapsed > start_timeout and not teacher.moved:
-            raise PliantError(f"the arm was not moved by hand within {start_timeout:g} s")
