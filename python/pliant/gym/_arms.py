@@ -308,16 +308,10 @@ def _rotations(vectors: Array) -> Array:
     return out
 
 
-def _angles(rotations: Array) -> Array:
-    """Return the angles (N,) of rotation matrices (N, 3, 3) [rad]."""
-    trace = rotations[:, 0, 0] + rotations[:, 1, 1] + rotations[:, 2, 2]
-    angles: Array = np.arccos(np.clip((trace - 1.0) / 2.0, -1.0, 1.0))
-    return angles
-
-
 def _rotation_vectors(rotations: Array) -> Array:
     """Return the rotation vectors (N, 3) [rad] of rotations by less than half a turn."""
-    angle = _angles(rotations)
+    trace = rotations[:, 0, 0] + rotations[:, 1, 1] + rotations[:, 2, 2]
+    angle = np.arccos(np.clip((trace - 1.0) / 2.0, -1.0, 1.0))
     axis = np.stack(
         [
             rotations[:, 2, 1] - rotations[:, 1, 2],

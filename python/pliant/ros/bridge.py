@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -87,7 +87,10 @@ class Bridge:
                 case Target(pose=pose):
                     self.target = pose
                 case NewSettings(settings=settings):
-                    self._apply(settings)
+                    try:
+                        self._loop.controller.update(settings)
+                    except PliantError as error:
+                        print(f"settings refused by the controller: {error}", file=sys.stderr)
         if self._restarts != self._loop.restarts:
             self._restarts = self._loop.restarts
             self._contact.reset()
@@ -96,12 +99,6 @@ class Bridge:
         if tick.index % self._ticks_per_state == 0 and self._link.due():
             self._link.send(self._state(tick))
         return command
-
-    def _apply(self, settings: Any) -> None:
-        try:
-            self._loop.controller.update(settings)
-        except PliantError as error:
-            print(f"settings refused by the controller: {error}", file=sys.stderr)
 
     def _state(self, tick: Tick) -> ArmState:
         state, nan = tick.state, np.full(tick.q.size, np.nan)

@@ -73,7 +73,10 @@ class Listener(ServerListener):
             return
         kind = SUBSCRIBED[topic]
         try:
-            message = wire.decode(kind, data) if encoding == "cdr" else _from_json(kind, data)
+            if encoding == "cdr":
+                message = wire.decode(kind, data)
+            else:
+                message = wire.make(kind, json.loads(data))
         except (TypeError, ValueError, RecursionError) as error:
             self.arm.refuse(topic, error)
             return
@@ -101,11 +104,6 @@ class Listener(ServerListener):
                 except PliantError:
                     continue  # reported; the client sees the value in force
         return self.on_get_parameters(client, [parameter.name for parameter in parameters])
-
-
-def _from_json(kind: str, data: bytes) -> Any:
-    """Return a message from JSON text."""
-    return wire.make(kind, json.loads(data))
 
 
 def main(descriptor: int, options: dict[str, Any]) -> int:
