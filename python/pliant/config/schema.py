@@ -388,15 +388,15 @@ class Config(StrictModel):
                 of the file, or an angle can only be in degrees.
         """
         robot = self.robot
+        load = robot.payload
         options: dict[str, Any] = {
             "base": robot.base,
             "tip": robot.tip,
             "gravity": robot.gravity,
             "locked": robot.locked or None,
             "limits": robot.limits or None,
+            "payload": None if load is None else ToolPayload(load.mass, load.com),
         }
-        if robot.payload is not None:
-            options["payload"] = ToolPayload(robot.payload.mass, robot.payload.com)
         options = {key: value for key, value in options.items() if value is not None}
         out = self._load(options)
         _match(self, out)
@@ -413,25 +413,21 @@ class Config(StrictModel):
             ConfigError: There is no such URDF file or link, or an option is not valid.
         """
         try:
-            return self._load_file(options)
+            if self.robot.builtin is not None:
+                return robots.load(self.robot.builtin, **options)
+            assert self.robot.urdf is not None
+            path = resolve_path(self, self.robot.urdf)
+            if not path.is_file():
+                raise ConfigError(
+                    f"robot.urdf: there is no file {path}; give the path of this arm's URDF, in "
+                    "the file or by --urdf"
+                )
+            return Model.from_urdf(str(path), **options)
         except FrameNotFoundError as error:
             name = str(error.frame)
             key = "base" if name == options.get("base") else "tip"
             known = suggest(name, error.available or ())
             raise ConfigError(f"robot.{key}: there is no link {name!r}; {known}") from None
-
-    def _load_file(self, options: dict[str, Any]) -> Model:
-        """Do the work of `_load`; errors do not name the key of the file."""
-        if self.robot.builtin is not None:
-            return robots.load(self.robot.builtin, **options)
-        assert self.robot.urdf is not None
-        path = resolve_path(self, self.robot.urdf)
-        if not path.is_file():
-            raise ConfigError(
-                f"robot.urdf: there is no file {path}; give the path of this arm's URDF, in the "
-                "file or by --urdf"
-            )
-        return Model.from_urdf(str(path), **options)
 
     def settings(self) -> Settings:
         """Return the settings of the controller, validated by `pliant.Settings`.

@@ -6,6 +6,7 @@ which writes EEPROM.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -475,4 +476,4 @@ def _calibration_notes(device: Device) -> list[str]:
 
 def _degrees(device: Device, counts: float) -> float:
     """Return the joint angle [°], without sign, of a difference of `counts` encoder counts."""
-    return abs(counts) * device.units.count * 57.29577951308232
+    return abs(counts) * math.degrees(device.units.count)
