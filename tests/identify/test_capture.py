@@ -69,6 +69,16 @@ def test_the_report_names_a_payload_that_was_clipped(arm, grasp):
     assert any("clipped" in text and "wrong payload" in text for text in capture.summary())
 
 
+@pytest.mark.parametrize("check", [0.0, 0.5])
+def test_the_gravity_in_the_result_is_that_of_the_controller(arm, grasp, check):
+    plant, controller = arm_in_pose(arm, grasp, payload=0.5)
+    controller.set_payload(0.5)
+    capture = identify.capture_gravity(plant, controller, seconds=1.0, check=check)
+    loaded = pliant.robots.arm7(payload=pliant.Payload(0.5))
+    np.testing.assert_allclose(capture.gravity, loaded.gravity(plant.q), atol=0.1)
+    assert np.abs(capture.gravity - arm.gravity(plant.q)).max() > 1.0
+
+
 def test_settings_come_back_after_an_exception(arm, grasp):
     plant, controller = arm_in_pose(arm, grasp)
     procedure = identify.capture_gravity.procedure(controller)

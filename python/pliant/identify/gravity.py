@@ -46,7 +46,7 @@ class GravityCapture:
             torques to get the gravity offset of the goals.
         assumed: Assumed stiffness k_p of the servo parameters (n,) [N·m/rad].
         lead: Goal minus position that held the arm (n,) [rad].
-        gravity: Torque that holds the arm, by the model (n,) [N·m].
+        gravity: Torque that holds the arm, by the model with the controller's payload (n,) [N·m].
         captured: True for joints whose k_g was measured (n,); the others keep the assumed k_p.
         clipped: True for joints whose measured k_g was outside 0.3 to 3 times k_p (n,).
         still: True if the arm was at rest while its leads were read.
@@ -208,6 +208,8 @@ def _capture(
         tail = samples[-max(round(AVERAGED_SHARE * ticks), 1) :]
         mean_q, goal = (np.mean([pair[k] for pair in tail], axis=0) for k in (0, 1))
         stiffness = controller.capture_gravity(mean_q, goal)
+        # Of the controller, whose payload and gravity may differ from those of the model.
+        gravity = np.array(controller.diagnostics.gravity)
     finally:
         controller.update(settings)
     first, last = (model.forward_kinematics(tail[k][0])[:3, 3] for k in (0, -1))
@@ -219,16 +221,12 @@ def _capture(
         if drift > bound:
             remedy = yield from _find_remedy(controller, q, (check, bound), stiff)
     assumed = np.array(servos.kp)
-    lead, gravity = (
-        goal - mean_q,
-        np.asarray(controller.diagnostics.gravity if check else model.gravity(mean_q)),
-    )
     measured = np.abs(gravity) > 3.0 * np.asarray(servos.friction)
     ratio = stiffness / assumed
     return GravityCapture(
         stiffness=np.asarray(stiffness),
         assumed=assumed,
-        lead=lead,
+        lead=goal - mean_q,
         gravity=gravity,
         captured=measured,
         clipped=measured & ((ratio < CLIP_RATIOS[0] * 1.001) | (ratio > CLIP_RATIOS[1] * 0.999)),
