@@ -141,8 +141,7 @@ class ServoSpec:
         """Raise `ConfigError` unless all attributes are valid."""
         row = self.row
         highest = 253 if row.family.protocol == "p1" else 252
-        ids = [self.id] if self.secondary is None else [self.id, self.secondary[0]]
-        signs = [self.sign] if self.secondary is None else [self.sign, self.secondary[1]]
+        ids, signs = map(list, zip(*self.servos, strict=True))
         for number in ids:
             if not 0 <= number <= highest:
                 raise ConfigError(f"{self.name}: id {number} is outside 0..{highest}")
@@ -152,20 +151,17 @@ class ServoSpec:
             )
         if any(sign not in {-1, 1} for sign in signs):
             raise ConfigError(f"{self.name}: a sign is +1 or -1, got {signs}")
-        if not (np.isfinite(self.gear_ratio) and self.gear_ratio > 0.0):
-            raise ConfigError(f"{self.name}: gear_ratio must be above 0, got {self.gear_ratio!r}")
         if self.zero is not None:
             self._check_zero(self.zero)
-        if self.stall is not None and not (np.isfinite(self.stall) and self.stall > 0.0):
-            raise ConfigError(f"{self.name}: stall must be above 0 N·m, got {self.stall!r}")
-        if not (np.isfinite(self.torque_offset) and self.torque_offset >= 0.0):
-            raise ConfigError(f"{self.name}: torque_offset is at least 0, got {self.torque_offset}")
-        for what in ("kp", "friction", "damping"):
+        units = {"gear_ratio": "", "stall": " N·m", "kp": " N·m/rad", "no_load": " rpm"}
+        for what, unit in units.items():
             value = getattr(self, what)
-            if value is not None and not (np.isfinite(value) and value >= 0.0):
+            if value is not None and not 0.0 < value < np.inf:
+                raise ConfigError(f"{self.name}: {what} must be above 0{unit}, got {value!r}")
+        for what in ("torque_offset", "friction", "damping"):
+            value = getattr(self, what)
+            if value is not None and not 0.0 <= value < np.inf:
                 raise ConfigError(f"{self.name}: {what} is at least 0, got {value!r}")
-        if self.kp == 0.0:
-            raise ConfigError(f"{self.name}: kp must be above 0 N·m/rad, got 0")
         bounds = [b for b in (self.lower, self.upper) if b is not None]
         if not np.isfinite(bounds).all() or (len(bounds) == 2 and bounds[0] >= bounds[1]):
             raise ConfigError(f"{self.name}: lower must be below upper [rad], got {bounds}")
@@ -175,8 +171,6 @@ class ServoSpec:
                 f"{self.name}: model_number {self.model_number} is that of {known[0].name}, not of "
                 f"a servo that the package does not know: model = {known[0].name!r}"
             )
-        if self.no_load is not None and not (np.isfinite(self.no_load) and self.no_load > 0.0):
-            raise ConfigError(f"{self.name}: no_load must be above 0 rpm, got {self.no_load!r}")
         low, high = row.voltage
         if not (np.isfinite(low) and 0.0 < low < high < np.inf):
             raise ConfigError(f"{self.name}: voltage is lowest and highest [V], got {row.voltage}")
