@@ -351,8 +351,8 @@ class ServoModel:
     model_number: int
     family: Family
     limit_type: Kind
-    counts_per_turn: float
-    max_position: int
+    counts_per_turn: float = 4096
+    max_position: int = 4095
     stall: tuple[tuple[float, float], ...]
     no_load: tuple[tuple[float, float], ...]
     gain: float

@@ -100,8 +100,6 @@ def _sts3215(  # noqa: PLR0917 -- a row of a table
         model_number=777,
         family=STS,
         limit_type="pwm",
-        counts_per_turn=4096,
-        max_position=4095,
         stall=(stall,),
         no_load=((stall[0], speed),),
         gain=0.166,

@@ -115,8 +115,6 @@ def _mx(  # noqa: PLR0917 - a row of a table
         model_number=number,
         family=family,
         limit_type="pwm",
-        counts_per_turn=4096,
-        max_position=4095,
         stall=tuple(zip(volts, stall, strict=True)),
         no_load=tuple(zip(volts, no_load, strict=True)),
         gain=0.158,

@@ -9,6 +9,7 @@ current-limited servos.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import pi
 
 from pliant.servo.models.base import (
@@ -105,44 +106,6 @@ DUTY_PER_RADIAN = 4096 / (2 * pi) / 128 / 885
 
 
 # Positional arguments, because the calls in `MODELS` are the rows of a table.
-def _current_limited(  # noqa: PLR0917
-    name: str,
-    model_number: int,
-    current_unit: float,
-    current_max: int,
-    rated: tuple[float, float],
-    stall: tuple[tuple[float, float], ...],
-    no_load: tuple[tuple[float, float], ...],
-    gain_default: int,
-    voltage: tuple[float, float],
-    mechanics: Mechanics | None = None,
-) -> ServoModel:
-    """Return a servo model whose torque limit is a current.
-
-    `rated` is (voltage [V], stall current [A]). The other arguments are those of `ServoModel`;
-    `mechanics` None: estimated from the stall torque at the rated voltage.
-    """
-    return ServoModel(
-        name=name,
-        model_number=model_number,
-        family=CURRENT,
-        limit_type="current",
-        counts_per_turn=4096,
-        max_position=4095,
-        stall=stall,
-        no_load=no_load,
-        gain=DUTY_PER_RADIAN,
-        gain_default=gain_default,
-        speed_unit=0.229,
-        current_unit=current_unit,
-        current_max=current_max,
-        stall_current=rated[1],
-        rated=rated[0],
-        voltage=voltage,
-        mechanics=mechanics or estimated_mechanics(dict(stall)[rated[0]]),
-    )
-
-
 def _duty_limited(  # noqa: PLR0917
     name: str,
     model_number: int,
@@ -161,8 +124,6 @@ def _duty_limited(  # noqa: PLR0917
         model_number=model_number,
         family=DUTY,
         limit_type="pwm",
-        counts_per_turn=4096,
-        max_position=4095,
         stall=stall,
         no_load=no_load,
         gain=DUTY_PER_RADIAN,
@@ -171,6 +132,35 @@ def _duty_limited(  # noqa: PLR0917
         rated=rated,
         voltage=voltage,
         mechanics=estimated_mechanics(dict(stall)[rated]),
+    )
+
+
+def _current_limited(  # noqa: PLR0917
+    name: str,
+    model_number: int,
+    current_unit: float,
+    current_max: int,
+    rated: tuple[float, float],
+    stall: tuple[tuple[float, float], ...],
+    no_load: tuple[tuple[float, float], ...],
+    gain_default: int,
+    voltage: tuple[float, float],
+    mechanics: Mechanics | None = None,
+) -> ServoModel:
+    """Return a servo model whose torque limit is a current.
+
+    `rated` is (voltage [V], stall current [A]). The other arguments are those of `ServoModel`;
+    `mechanics` None: estimated from the stall torque at the rated voltage.
+    """
+    model = _duty_limited(name, model_number, rated[0], stall, no_load, gain_default, voltage)
+    return replace(
+        model,
+        family=CURRENT,
+        limit_type="current",
+        current_unit=current_unit,
+        current_max=current_max,
+        stall_current=rated[1],
+        mechanics=mechanics or model.mechanics,
     )
 
 
