@@ -13,7 +13,7 @@ from collections import deque
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
@@ -140,42 +140,27 @@ MAX_DATAGRAMS = 256
 MAX_CHECKED = 32
 
 
-class Targets(Protocol):
-    """Protocol of a source of targets.
+class Targets:
+    """Source of targets; this base class has none, so that the arm holds its first pose.
 
     Attributes:
         done: True once the source has ended.
     """
 
-    done: bool
-
-    def latest(self) -> Target | None:
-        """Return the newest target received since the last call; None if none was received."""
-
-    def __enter__(self) -> Self:
-        """Return this source of targets, which is open."""
-
-    def __exit__(self, *_: object) -> None:
-        """Close the file, pipe or socket of the targets."""
-
-
-class NoTargets:
-    """Source without targets: the arm holds its first pose. Base class of all other sources."""
-
     done = False
 
     def latest(self) -> Target | None:
-        """Return None: this source has no targets."""
+        """Return the newest valid target since the last call; None if there is none."""
         return None
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Do nothing: this source has no file or socket to close."""
+        """Close the file, pipe or socket of the targets."""
 
 
-class FileTargets(NoTargets):
+class FileTargets(Targets):
     """Targets in a file: one line per control cycle. The constructor checks the whole file."""
 
     def __init__(self, path: Path, model: Model) -> None:
@@ -207,36 +192,36 @@ class FileTargets(NoTargets):
         return self._targets[self._next - 1]
 
 
-class TargetParser:
-    """Parses targets; prints errors about invalid ones at the limited rate of `Refusals`."""
+class ReceivedTargets(Targets):
+    """Base class of sources that receive targets; errors are printed at a limited rate."""
 
-    def __init__(self) -> None:
-        self._refusals = Refusals("target")
+    def __init__(self, model: Model) -> None:
+        self._model, self._refusals = model, Refusals("target")
 
-    def parse(self, line: bytes, model: Model) -> Target | None:
+    def _parse(self, line: bytes) -> Target | None:
         """Return the target in a line; if the line is invalid, print the error and return None."""
         try:
             if len(line) > MAX_LINE:
                 raise ConfigError(f"a target is longer than {MAX_LINE} bytes")
-            return Target.parse(line.decode("utf-8", errors="replace"), model)
+            return Target.parse(line.decode("utf-8", errors="replace"), self._model)
         except ConfigError as error:
             self._refusals.report(error)
             return None
 
-    def newest(self, lines: Iterable[bytes], model: Model) -> Target | None:
+    def _newest_valid(self, lines: Iterable[bytes]) -> Target | None:
         """Return the newest valid target of `lines`, oldest first; None if there is none.
 
         All lines are parsed, so that also invalid ones before a valid one are reported.
         """
-        targets = [self.parse(line, model) for line in lines]
+        targets = [self._parse(line) for line in lines]
         return next((target for target in reversed(targets) if target is not None), None)
 
-    def close(self) -> None:
+    def __exit__(self, *_: object) -> None:
         """Print the number of invalid targets whose errors the rate limit has suppressed."""
         self._refusals.close()
 
 
-class StreamTargets(NoTargets):
+class StreamTargets(ReceivedTargets):
     """Targets read from a pipe, such as standard input; a thread keeps the newest lines.
 
     Args:
@@ -246,8 +231,7 @@ class StreamTargets(NoTargets):
     """
 
     def __init__(self, pipe: int, model: Model) -> None:
-        self._model = model
-        self._parser = TargetParser()
+        super().__init__(model)
         self._newest: deque[bytes] = deque(maxlen=MAX_CHECKED)
         self._ended = False
         threading.Thread(
@@ -276,18 +260,14 @@ class StreamTargets(NoTargets):
         self.done = self._ended  # read before the queue, so that the last line is not lost
         # The thread appends meanwhile: a count taken once bounds the lines of this cycle.
         lines = [self._newest.popleft() for _ in range(len(self._newest))]
-        return self._parser.newest(lines, self._model)
-
-    def __exit__(self, *_: object) -> None:
-        self._parser.close()
+        return self._newest_valid(lines)
 
 
-class UdpTargets(NoTargets):
+class UdpTargets(ReceivedTargets):
     """Targets received in UDP datagrams; listens on 127.0.0.1 only."""
 
     def __init__(self, port: int, model: Model) -> None:
-        self._model = model
-        self._parser = TargetParser()
+        super().__init__(model)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         try:
@@ -303,11 +283,11 @@ class UdpTargets(NoTargets):
             for _ in range(MAX_DATAGRAMS):
                 if (datagram := self._socket.recv(MAX_LINE + 1)).strip():
                     newest.append(datagram)
-        return self._parser.newest(newest, self._model)
+        return self._newest_valid(newest)
 
     def __exit__(self, *_: object) -> None:
         self._socket.close()
-        self._parser.close()
+        super().__exit__()
 
 
 def open_targets(source: str, model: Model) -> Targets:
@@ -322,7 +302,7 @@ def open_targets(source: str, model: Model) -> Targets:
         FileNotFoundError: The file does not exist.
     """
     if not source:
-        return NoTargets()
+        return Targets()
     if source == "-":
         if sys.stdin is None:
             raise ConfigError("--targets - reads standard input, and it is closed")
