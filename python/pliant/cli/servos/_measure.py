@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from contextlib import closing
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from pliant._core import Axis
     from pliant._typing import Array
     from pliant.arm import Arm
+    from pliant.cli._console import Keyboard
     from pliant.cli._measurements import Measurements
     from pliant.config import Config
     from pliant.identify._leads import Leads
@@ -49,16 +50,6 @@ MAX_READING_SHARE, MAX_WEIGHT_SHARE = 3.0, 0.4
 WATCH_TIME = 1.0
 
 
-class Lines(Protocol):
-    """Source of typed lines: `pliant.cli._console.Keyboard`."""
-
-    def line(self) -> str | None:
-        """Return the next line, None if there is none yet; raise ConfigError at the end."""
-
-    def discard(self) -> None:
-        """Discard lines that were typed before a question is shown."""
-
-
 class Session:
     """Measuring session with an arm; it skips the steps that the file already contains.
 
@@ -73,7 +64,12 @@ class Session:
     """
 
     def __init__(
-        self, arm: Arm, config: Config, file: Measurements, keys: Lines, say: Callable[[str], None]
+        self,
+        arm: Arm,
+        config: Config,
+        file: Measurements,
+        keys: Keyboard,
+        say: Callable[[str], None],
     ) -> None:
         self.arm, self.config, self.file, self.keys, self.say = arm, config, file, keys, say
         firm: Mapping[Any, Axis] = Settings.firm(task=config.settings().task).axes
