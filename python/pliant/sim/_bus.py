@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
@@ -203,8 +204,9 @@ class Bus:
             raise ConfigError(f"seed must be a whole number, at least 0, got {seed!r}")
         self._read_loss = probability(read_loss, "read_loss")
         self._write_loss = probability(write_loss, "write_loss")
-        self._encoder_step, self._encoder_flicker = encoder_step, encoder_flicker
-        self._noise = noise
+        self._make_encoder = partial(
+            Encoder, n, encoder_step=encoder_step, encoder_flicker=encoder_flicker, noise=noise
+        )
 
     @property
     def write_delay(self) -> int:
@@ -220,13 +222,7 @@ class Bus:
         """
         seeds = np.random.SeedSequence(self._seed).spawn(3)
         encoding, reading, writing = (np.random.default_rng(seed) for seed in seeds)
-        self._encoder = Encoder(
-            self._n,
-            encoder_step=self._encoder_step,
-            encoder_flicker=self._encoder_flicker,
-            noise=self._noise,
-            rng=encoding,
-        )
+        self._encoder = self._make_encoder(rng=encoding)
         self.sent = first
         self._pending: Command | None = None
         self._writes = DelayLine(first, delay=self._delay[1], loss=self._write_loss, rng=writing)

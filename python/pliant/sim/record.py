@@ -50,8 +50,8 @@ class Recorder:
             "q": plant.q,
             "dq": plant.dq,
             "tool": plant.tool,
+            "torque": plant.torque,
         }
-        row["torque"] = plant.torque
         for k, record in enumerate(plant.hands):
             row[f"force{k}"], row[f"torque{k}"] = record.force, record.torque
         row.update(signals)
