@@ -38,9 +38,14 @@ def lower_priority() -> None:
         kernel.SetPriorityClass(kernel.GetCurrentProcess(), BELOW_NORMAL_PRIORITY_CLASS)
         return
     os.nice(NICE)
-    if hasattr(os, "SCHED_BATCH"):
+    set_policy("SCHED_BATCH")
+
+
+def set_policy(name: str) -> None:
+    """Set the scheduling policy of this process, such as SCHED_BATCH, where the system has it."""
+    if hasattr(os, name):
         with contextlib.suppress(OSError):
-            os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+            os.sched_setscheduler(0, getattr(os, name), os.sched_param(0))
 
 
 def raise_priority() -> None:

@@ -835,7 +835,7 @@ def test_the_process_of_the_guardian_takes_over_what_it_found(monkeypatch, found
     memory = os.memfd_create("heartbeat")
     os.truncate(memory, 16)
     monkeypatch.setattr(signal, "signal", ignored.__setitem__)
-    monkeypatch.setattr(_guardian_process, "_set_policy", calls.append)
+    monkeypatch.setattr(_guardian_process, "set_policy", calls.append)
     monkeypatch.setattr(_guardian_process, "take_over", lambda *arguments: calls.append(arguments))
 
     def watch(program, line):

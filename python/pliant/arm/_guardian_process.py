@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pliant._core import ServoError, ServoFaultError
+from pliant._processes import set_policy
 from pliant.arm._guardian import SIZE
 from pliant.arm._messages import MESSAGES
 from pliant.arm._shutdown import RECOVER, brief
@@ -58,8 +59,7 @@ class Program:
 
     def __init__(self, pid: int, heartbeat: Sequence[float]) -> None:
         self.pid, self._heartbeat = pid, heartbeat
-        self._last, self._silent, self._stopped = tuple(heartbeat), 0.0, 0.0
-        self._checked = time.monotonic()
+        self.restart()
         self._end: int | None = None
         if hasattr(os, "pidfd_open"):
             with suppress(OSError):
@@ -202,23 +202,14 @@ def take_over(arm: Arm, reason: str, program: Program) -> None:
             return
 
 
-def _set_policy(name: str) -> None:
-    """Set the scheduling policy of this process, on Linux.
-
-    With SCHED_BATCH, the guardian does not interrupt the control loop when it wakes up. A higher
-    nice value would have the same effect, but could not be lowered again for the descent.
-    """
-    if hasattr(os, name):
-        with suppress(OSError):
-            os.sched_setscheduler(0, getattr(os, name), os.sched_param(0))
-
-
 def main(arguments: Sequence[str]) -> None:
     """Watch the program, and take over its arm when it ends or hangs."""
     for name in IGNORED:
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
-    _set_policy("SCHED_BATCH")
+    # The guardian then does not interrupt the control loop when it wakes up. A higher nice value
+    # would have the same effect, but could not be lowered again for the descent.
+    set_policy("SCHED_BATCH")
     for name in DRIVERS:
         with suppress(ImportError):
             import_module(name)
@@ -228,7 +219,7 @@ def main(arguments: Sequence[str]) -> None:
     program = Program(pid, heartbeat)
     arm_and_reason = watch(program, Connection(socket))
     if arm_and_reason is not None:
-        _set_policy("SCHED_OTHER")
+        set_policy("SCHED_OTHER")
         take_over(*arm_and_reason, program)
         MESSAGES.flush()
 
