@@ -198,8 +198,7 @@ def full_lead(torque: Array, kp: Array) -> Array:
     `kp` is the assumed stiffness (n,) [N·m/rad], see `LEAD_FACTOR`.
     """
     size = LEAD_FACTOR * np.abs(torque) / kp + FIRST_LEAD
-    lead: Array = np.sign(torque) * np.minimum(size, LARGEST_LEAD)
-    return lead
+    return np.sign(torque) * np.minimum(size, LARGEST_LEAD)
 
 
 def displacement(io: ArmIO, start_q: Array) -> str | None:

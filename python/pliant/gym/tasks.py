@@ -93,8 +93,7 @@ class Task(ABC):
 def _count_touch(force: Array, before: Array, gain: Array | float) -> Array:
     """Return the progress with `gain` for each arm whose force is within the band `TOUCH`."""
     touches = (TOUCH[0] <= force) & (force <= TOUCH[1])
-    counted: Array = np.where(touches, np.minimum(before + gain, 1.0), before)
-    return counted
+    return np.where(touches, np.minimum(before + gain, 1.0), before)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -151,8 +151,7 @@ class Excitation:
             1.3 * np.abs(self.model.gravity(q) + self.extra_torque)
             + self._torque_share * self.torque
         )
-        out: Array = np.minimum(self.torque, needed)
-        return out
+        return np.minimum(self.torque, needed)
 
     def fit_within_limits(self, q: Array, size: Array) -> Array:
         """Return the pose nearest to q at which motions by ±size stay within the position limits.
@@ -165,8 +164,7 @@ class Excitation:
         if (low > high).any():
             middle = 0.5 * (np.asarray(self.model.lower) + self.model.upper)
             self.check_range(middle - size, middle + size)
-        out: Array = np.clip(q, low, high)
-        return out
+        return np.clip(q, low, high)
 
     def check_range(self, low: ArrayLike, high: ArrayLike) -> None:
         """Check that motions from `low` to `high` (n,) [rad] stay within the position limits.

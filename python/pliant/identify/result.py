@@ -282,5 +282,4 @@ class Identification:
 
 
 def _is_known(servos: Servos, sigma: dict[str, Array]) -> Mask:
-    known: Mask = sigma["kp"] < KNOWN_SIGMA * np.asarray(servos.kp)
-    return known
+    return sigma["kp"] < KNOWN_SIGMA * np.asarray(servos.kp)

@@ -70,8 +70,7 @@ class TickContext:
         velocity = (
             self.controller.diagnostics.velocity if self.wrench is None else self.wrench.velocity
         )
-        speed: Array = self.controller.diagnostics.task_jacobian @ velocity
-        return speed
+        return self.controller.diagnostics.task_jacobian @ velocity
 
     def force(self) -> WrenchEstimate:
         """Return the estimated wrench on the tool.

@@ -142,8 +142,7 @@ class Replay:
         else:
             self._advance(q, time_step)
             goal = self._target()
-        command: Command = self._controller.step_joints(q, goal, dt=dt)
-        return command
+        return self._controller.step_joints(q, goal, dt=dt)
 
     def extra(self, arm: Arm) -> dict[str, tuple[float, float]]:
         """Return goal [rad] and torque limit [N·m] of each gripper in the motion, by name."""
