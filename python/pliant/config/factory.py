@@ -216,17 +216,17 @@ def _fixed(model: Model, drive: Drive) -> dict[str, GripperConfig]:
 
     Joints of the controlled chain are left out.
     """
-    known = {joint.name for joint in model.joints if _has_ends(joint.lower, joint.upper)}
+    known = {
+        joint.name
+        for joint in model.joints
+        if all(end is not None and np.isfinite(end) for end in (joint.lower, joint.upper))
+    }
     positions = zip(drive.names, drive.read().position.tolist(), strict=True)
     return {
         name: GripperConfig(opened=position, closed=position)
         for name, position in positions
         if name not in known and name not in model.joint_names
     }
-
-
-def _has_ends(*ends: float | None) -> bool:
-    return all(end is not None and np.isfinite(end) for end in ends)
 
 
 def _on_table(config: Config, height: float | bool | None) -> Config:

@@ -349,7 +349,12 @@ class Config(StrictModel):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        check_tables(self)
+        errors = [*_ports(self), *_ids(self), *_supply(self)]
+        if self.backend != "sim" and not self.servo:
+            backend = f"backend {self.backend!r}"
+            errors.append(f"servo is missing: {backend} needs a servo for every joint")
+        if errors:
+            raise ValueError("\n".join(errors))
         return self
 
     @property
@@ -446,19 +451,6 @@ class Config(StrictModel):
         return f"<Config of {robot}, {len(self.servo)} servos, backend {self.backend!r}>"
 
     __str__ = __repr__
-
-
-def check_tables(config: Config) -> None:
-    """Check conditions between the tables of a configuration, such as unique servo ids on a port.
-
-    Raises:
-        ValueError: The tables contradict each other; the message has one line per error.
-    """
-    errors = [*_ports(config), *_ids(config), *_supply(config)]
-    if config.backend != "sim" and not config.servo:
-        errors.append(f"servo is missing: backend {config.backend!r} needs a servo for every joint")
-    if errors:
-        raise ValueError("\n".join(errors))
 
 
 def _ports(config: Config) -> list[str]:
