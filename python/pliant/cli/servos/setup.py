@@ -5,9 +5,9 @@ from __future__ import annotations
 import shlex
 import signal
 import threading
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING
 
 from pliant._core import ConfigError, ServoError
 from pliant.arm._signals import HANDLED, exception
@@ -85,8 +85,7 @@ def run(
             console.print("nothing to change" + ("; no backup is written" if undo is None else ""))
             return
         _show(console, planned)
-        if not (yes or _confirm(console)):
-            _cancel()
+        _confirm(console, yes=yes)
         name, flags = shlex.quote(arm), override.as_arguments()
         if undo is None:
             backups.save(backup, arm, planned)
@@ -178,23 +177,17 @@ def _assign_id(
         io = ports[spec.port]
         check_set_id(io, spec.name, spec.row, old, new)
         _show(console, [RegisterChange(spec.name, old, "id", old, new, "has an id of its own")])
-        if not (yes or _confirm(console)):
-            _cancel()
+        _confirm(console, yes=yes)
         with _signals_deferred():
             set_id(io, spec.name, spec.row, old, new)
     console.print(f"the servo of {spec.name} answers to id {new} now", highlight=False)
 
 
-def _confirm(console: Console) -> bool:
-    """Ask the user to confirm; return True for yes. The end of the input counts as no."""
-    try:
-        return console.input("write this? [y/N] ").strip().lower() in {"y", "yes"}
-    except EOFError:
-        return False
-
-
-def _cancel() -> NoReturn:
-    """Exit with code 1 because the user declined."""
+def _confirm(console: Console, *, yes: bool) -> None:
+    """Ask the user to confirm, unless `yes`; exit with code 1 without confirmation."""
+    with suppress(EOFError):
+        if yes or console.input("write this? [y/N] ").strip().lower() in {"y", "yes"}:
+            return
     Console(stderr=True).print("cancelled: nothing was written", highlight=False)
     raise SystemExit(1)
 
