@@ -728,7 +728,7 @@ class Arm:
         """
         with self._supervisor:
             if self._supervisor.owner is None:
-                self._check_enabled()
+                raise self._torque_error()
             self._io.write(goal, limit, extra, lead=lead, velocity=velocity)
 
     def supervised(self, patience: float) -> AbstractContextManager[Callable[[], None]]:
@@ -790,7 +790,8 @@ class Arm:
         The last goals and limits of the chain's joints are sent again.
         """
         with self._supervisor:
-            self._check_enabled()
+            if self._supervisor.owner is None:
+                raise self._torque_error()
             self._io.orders[name] = (goal, limit)
             self._io.send(self._io.goal, self._io.limit)
 
@@ -802,12 +803,8 @@ class Arm:
     def _check_usable(self) -> None:
         """Raise the error of `write` if this process may not write, or if torque is off."""
         with self._supervisor:
-            self._check_enabled()
-
-    def _check_enabled(self) -> None:
-        """Raise an error if torque is off; the caller has entered the supervisor's context."""
-        if self._supervisor.owner is None:
-            raise self._torque_error()
+            if self._supervisor.owner is None:
+                raise self._torque_error()
 
     def _torque_error(self) -> ServoError:
         """Return the error for a use of the arm while no process controls it: state and remedy."""
