@@ -66,20 +66,17 @@ def health(h: LoopTiming) -> str:
         slow = (
             f' · <b style="color:{ALERT}">at {h.speed:.0%} of real time: the computer is busy</b>'
         )
-    faults = [f"{count} {name}" for name, count in _timing_faults(h) if count]
+    counts = {
+        "missed ticks": h.missed,
+        "ticks without positions": h.missing,
+        "commands not sent": h.rejected,
+        "restarts": h.restarts,
+    }
+    faults = [f"{count} {name}" for name, count in counts.items() if count]
     delay = "" if h.delay is None else f" · delay {1e3 * h.delay:.1f} ms"
     return _box(
         f"<b>{h.rate:g} Hz</b> · {hint} {1e3 * h.p50:.2f} ms (median), {1e3 * h.p99:.2f} ms (99 %)"
         f"{delay} · {', '.join(faults) if faults else 'no tick missed'}{slow}"
-    )
-
-
-def _timing_faults(h: LoopTiming) -> tuple[tuple[str, int], ...]:
-    return (
-        ("missed ticks", h.missed),
-        ("ticks without positions", h.missing),
-        ("commands not sent", h.rejected),
-        ("restarts", h.restarts),
     )
 
 
