@@ -62,6 +62,8 @@ def test_conditions_join_and_print():
         "(Force('z', above=8).for_seconds(0.05) & ~Deviation('xy', above=0.02))"
     )
     assert eval(repr(first | second), vars(rx)) == (first | second)
+    for condition in (rx.Saturated(), rx.Saturated(("elbow",)), rx.ContactEvent("z", "stop")):
+        assert eval(repr(condition), vars(rx)) == condition
     assert (rx.After(0.0) | rx.ResidualAbove()).evaluator()(push(0.0))
     with pytest.raises(TypeError, match="join conditions with &"):
         _ = first and second

@@ -532,7 +532,7 @@ class Saturated(Condition):
         return holds
 
     def __repr__(self) -> str:
-        return f"Saturated({', '.join(repr(name) for name in self.joints)})"
+        return f"Saturated({self.joints!r})" if self.joints else "Saturated()"
 
 
 def _format_threshold(axes: str, above: float | None, below: float | None) -> str:
