@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 import time
+from contextlib import closing
 from types import SimpleNamespace
 
 import numpy as np
@@ -454,3 +455,30 @@ def test_an_error_of_the_port_is_named(error, is_closed, reason, text):
     found = port.lost(error)
     assert found.reason == reason
     assert text in str(found)
+
+
+@pytest.mark.parametrize(
+    ("ids", "address", "data"),
+    [
+        ([1], 64, [b"\0"]),
+        ([1, 2, 252], 116, [b"\1\2\3\4", b"\xff\xff\xfd\0", b"\xff\xff\xff\xfd"]),
+    ],
+)
+def test_a_packet_that_needs_no_silence_is_that_of_rustypot(ids, address, data):
+    with closing(Pty("p2")) as pty, closing(RustypotTransport(pty.path, 1_000_000, "p2")) as io:
+        io.sync_write(ids, address, data)
+        assert os.read(pty.master, 256) == transport.sync_write_packet(ids, address, data)
+
+
+def test_a_packet_without_a_reply_is_sent_on_a_line_that_is_never_silent():
+    """rustypot waits for silence: of 600 packets of Protocol 2.0 it sent 22."""
+    part = emulator.Device("XM430-W350", 1)
+    with (
+        emulator.Emulator([part], clock="steps") as bus,
+        closing(RustypotTransport(bus.port, 1_000_000, "p2", 0.01)) as io,
+    ):
+        bus.hum()
+        for gain in range(800, 820):
+            io.sync_write([1], 84, [gain.to_bytes(2, "little")])
+            bus.sync()
+            assert bus.servos[0].get("position_p_gain") == gain

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import signal
+import struct
 import sys
 import threading
 from contextlib import suppress
@@ -100,7 +101,7 @@ class Transport(Protocol):
         """Close the serial port."""
 
 
-#: Protocol 1.0: instructions, and number of bytes of a reply without data.
+#: Instructions of both protocols, and number of bytes of a reply without data of Protocol 1.0.
 READ, SYNC_READ, SYNC_WRITE, OVERHEAD = 0x02, 0x82, 0x83, 6
 #: Resolved paths of the ports that this program has open.
 _OPEN: set[str] = set()
@@ -189,7 +190,15 @@ class RustypotTransport:
         try:
             self._io.sync_write_raw_data(list(ids), address, [list(item) for item in data])
         except RuntimeError as error:
-            raise self._failed(error, None) from error
+            failed = self._failed(error, None)
+            if failed.reason != "timeout" or len(self._descriptors) != 1:
+                raise failed from error
+            # The driver waits for a silent line before it sends, and noise can go on for ever. A
+            # packet without a reply needs no silence, and torque off must not wait for it.
+            try:
+                os.write(*self._descriptors, sync_write_packet(ids, address, data))
+            except OSError:
+                raise failed from error
 
     def ping(self, id: int) -> bool:
         """Return True if servo `id` answers a ping within the reply timeout."""
@@ -292,6 +301,21 @@ class RustypotTransport:
         if any(word in lower for word in _BROKEN):
             return BusError(f"{who}: broken answer ({text})", "corrupt", id)
         return self._gone(text)
+
+
+def sync_write_packet(ids: Sequence[int], address: int, data: Sequence[bytes]) -> bytes:
+    """Return the sync write of Protocol 2.0 that writes `data[i]` to servo `ids[i]`."""
+    body = struct.pack("<BHH", SYNC_WRITE, address, len(data[0]))
+    body += b"".join(bytes((id,)) + item for id, item in zip(ids, data, strict=True))
+    # A header inside the packet is made unlike a header by one more 0xFD.
+    body = body.replace(b"\xff\xff\xfd", b"\xff\xff\xfd\xfd")
+    packet = b"\xff\xff\xfd\0\xfe" + struct.pack("<H", len(body) + 2) + body
+    crc = 0
+    for byte in packet:
+        crc ^= byte << 8
+        for _ in range(8):
+            crc = (crc << 1 ^ (0x8005 if crc & 0x8000 else 0)) & 0xFFFF
+    return packet + struct.pack("<H", crc)
 
 
 #: Parts of rustypot's error texts for a missing reply, and for a corrupt reply.
