@@ -195,8 +195,9 @@ class RustypotTransport:
                 raise failed from error
             # The driver waits for a silent line before it sends, and noise can go on for ever. A
             # packet without a reply needs no silence, and torque off must not wait for it.
+            (descriptor,) = self._descriptors
             try:
-                os.write(*self._descriptors, sync_write_packet(ids, address, data))
+                os.write(descriptor, sync_write_packet(ids, address, data))
             except OSError:
                 raise failed from error
 
