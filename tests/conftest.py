@@ -66,7 +66,7 @@ UNITS = {name: line[0] for line in SHARED for name in line}
 PROGRAMS = {"tests/test_house.py"}
 #: Number of workers in addition to the number of cores, because many tests wait for an emulated bus
 #: or another process. With more workers, replies of emulated buses were late now and then.
-WAITING = 2
+WAITING = 3
 
 
 def pytest_configure() -> None:

@@ -213,7 +213,10 @@ def test_commands_that_come_too_late_are_named_as_the_cause():
 def test_a_silent_elbow_does_not_lift_the_arm_on_its_way_down():
     # On the straight way to this rest pose the elbow must move; if it stood still, the other joints
     # would lift the tool by 17 cm.
-    with arm_over_bytes("sts", HIGH, rest_q=[0.0, -1.74, 1.57, 0.85, 0.0]) as (bus, arm):
+    with arm_over_bytes("sts", HIGH, patience=0.03, rest_q=[0.0, -1.74, 1.57, 0.85, 0.0]) as (
+        bus,
+        arm,
+    ):
         arm.enable()
         start, heights, step = bus.plant.tool[2, 3], [], bus.world.physics.step
 
@@ -233,8 +236,8 @@ def test_a_silent_elbow_does_not_lift_the_arm_on_its_way_down():
 @pytest.mark.parametrize("servo", [2, 3])
 def test_a_silent_joint_descends_by_the_model(servo):
     """A Feetech servo gets goals too: with its limit only, the elbow fell at 0.47 m/s."""
-    heights = []
-    with arm_over_bytes("sts", [-0.14, -1.02, -0.26, -0.78, -1.05]) as (bus, arm):
+    q, heights = [-0.14, -1.02, -0.26, -0.78, -1.05], []
+    with arm_over_bytes("sts", q, patience=0.03) as (bus, arm):
         arm.enable()
         arm.clock.wait_until(arm.clock.now() + 0.2)
         wait = arm.clock.wait_until

@@ -105,7 +105,7 @@ def emulated():
     from contextlib import contextmanager
 
     @contextmanager
-    def start(kind, n, *, is_open=True, spec=None, **options):
+    def start(kind, n, *, is_open=True, spec=None, patience=0.1, **options):
         rate = options.pop("rate", 100.0)
         with Emulator(devices(kind, n), **options) as bus:
             specs = [
@@ -119,7 +119,7 @@ def emulated():
                 for i in range(n)
             ]
             clock = ManualClock(bus) if options.get("clock") == "steps" else None
-            servo_bus = ServoBus(specs, rate=rate, reply_timeout_min=0.1, clock=clock)
+            servo_bus = ServoBus(specs, rate=rate, reply_timeout_min=patience, clock=clock)
             try:
                 if is_open:
                     servo_bus.open()

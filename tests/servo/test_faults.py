@@ -557,7 +557,7 @@ def test_disable_reaches_all_although_one_is_silent(emulated, enabled):
 
 
 def test_servos_whose_torque_may_be_on_are_named_first_and_their_cause_once(emulated, enabled):
-    with emulated("sts", 4, clock="steps") as (bus, servo_bus):
+    with emulated("sts", 4, clock="steps", patience=0.03) as (bus, servo_bus):
         enabled(servo_bus)
         for number in (1, 2, 4):
             bus.faults.inject("deaf", number, count=99)
