@@ -208,7 +208,7 @@ def _capture(
         tail = samples[-max(round(AVERAGED_SHARE * ticks), 1) :]
         mean_q, goal = (np.mean([pair[k] for pair in tail], axis=0) for k in (0, 1))
         stiffness = controller.capture_gravity(mean_q, goal)
-        # Of the controller, whose payload and gravity may differ from those of the model.
+        # Payload and gravity of the controller may differ from those of the model.
         gravity = np.array(controller.diagnostics.gravity)
     finally:
         controller.update(settings)
