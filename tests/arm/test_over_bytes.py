@@ -213,10 +213,8 @@ def test_commands_that_come_too_late_are_named_as_the_cause():
 def test_a_silent_elbow_does_not_lift_the_arm_on_its_way_down():
     # On the straight way to this rest pose the elbow must move; if it stood still, the other joints
     # would lift the tool by 17 cm.
-    with arm_over_bytes("sts", HIGH, patience=0.03, rest_q=[0.0, -1.74, 1.57, 0.85, 0.0]) as (
-        bus,
-        arm,
-    ):
+    rest_q = [0.0, -1.74, 1.57, 0.85, 0.0]
+    with arm_over_bytes("sts", HIGH, patience=0.03, rest_q=rest_q) as (bus, arm):
         arm.enable()
         start, heights, step = bus.plant.tool[2, 3], [], bus.world.physics.step
 

@@ -106,7 +106,7 @@ DUTY_PER_RADIAN = 4096 / (2 * pi) / 128 / 885
 
 
 # Positional arguments, because the calls in `MODELS` are the rows of a table.
-def _duty_limited(  # noqa: PLR0917
+def _duty_limited(  # noqa: PLR0917 - a row of a table
     name: str,
     model_number: int,
     rated: float,
@@ -135,7 +135,7 @@ def _duty_limited(  # noqa: PLR0917
     )
 
 
-def _current_limited(  # noqa: PLR0917
+def _current_limited(  # noqa: PLR0917 - a row of a table
     name: str,
     model_number: int,
     current_unit: float,
