@@ -767,8 +767,8 @@ class Servos:
             or `"pwm"`, with which the available torque decreases with speed.
         no_load_speed: Speed without load [rad/s]; required for `"pwm"`.
         stiffness_known: True if `kp` is known within 10 %, and friction and damping are measured;
-            if False, they may be half of what is given, and half of their feed-forward is exerted
-            only as far as a force of the law opposes the motion.
+            if False, half of their feed-forward follows the velocity of the reference instead of
+            the measured velocity.
 
     Raises:
         ConfigError, OutOfRangeError, ShapeError: A field is missing, unknown or invalid.
@@ -1721,10 +1721,9 @@ class AxisReport:
 
     @property
     def friction_left(self) -> float:
-        """Friction along the axis in motion that the feed-forward does not compensate [N, N·m].
+        """Friction in motion, with the reference at rest, that is not compensated [N, N·m].
 
-        The axis keeps moving only if its strength exceeds this friction. With `stiffness_known`
-        False, more than half of the friction is compensated only up to the strength of the axis.
+        The axis keeps moving only if its strength exceeds this friction.
         """
 
     @property

@@ -33,6 +33,14 @@ LEAST_LOAD, LARGEST_LOAD, LOAD_TIME = 0.1, 0.5, 0.02
 #: Lower bound of the norm of the joint torques that hold 1 kg at the tool, in the estimate of the
 #: load [N·m].
 MIN_WEIGHT = 0.1
+#: The leads of a known stiffness are tried for `TRIAL_TIME` [s], and longer while joints are faster
+#: than `STILL_SPEED`, up to `MAX_BALANCE`. They do not hold the arm if a joint
+#: rises by `TRIAL_RISE` or sinks by `TRIAL_SINK` [rad], or by `TRIAL_STEPS` encoder steps or
+#: `TRIAL_SHARE` of its lead if these are larger: a known stiffness is known within 10 %.
+TRIAL_TIME, TRIAL_RISE, TRIAL_SINK, TRIAL_STEPS, TRIAL_SHARE = 0.15, 0.004, 0.008, 2.5, 0.1
+#: Share of the observed disturbance that is ascribed to the weight if these leads do not hold the
+#: arm; the rest is ascribed to the stiffness.
+WEIGHT_SHARE = 0.5
 #: The observer pole is `POLE_DELAY` over the delay of the loop, at most `MAX_POLE` [1/s].
 POLE_DELAY, MAX_POLE = 1.0, 45.0
 #: Assumed ratio of disturbance to position error before the first reading [1/s²]. A larger ratio
@@ -102,10 +110,12 @@ CLEAR_WEIGHT, AGAINST_WEIGHT = 3.0, 0.15
 def transfer_weight(
     io: ArmIO, points: ArmPoints, start_q: Array, taken: Mask, rate: float
 ) -> Array:
-    """Transfer the weight of a standing arm to its servos, and measure the leads that hold it.
+    """Transfer the weight of a standing arm to its servos, and find the leads that hold it.
 
-    The torque limits first balance the arm, also with an unknown load. Then the stiffness of the
-    servos takes over, see `_WeightTransfer`.
+    If the stiffness of the servos is known, the leads that it gives are tried first. If they do not
+    hold the arm, the stiffness is not known, and `io.servos` says so from then on. Torque limits
+    then balance the arm, also with an unknown load, and the leads are measured, see
+    `_WeightTransfer`.
 
     Args:
         io: Read and write access to the arm, with torque on.
@@ -236,9 +246,8 @@ class _WeightTransfer:
 
     def run(self) -> Array:
         """Run the transfer; return the leads as `transfer_weight` does."""
-        carried = self._taken.all() or self._io.servos.stiffness_known
         try:
-            return self._shrink(self._weight if carried else self._balance())
+            return self._transfer()
         except _AgainstWeightError as error:
             # The weight of the model has the wrong sign there: no lead and all torque hold best.
             lead = np.where(error.joints, 0.0, self._weight / self._kp)
@@ -390,10 +399,38 @@ class _WeightTransfer:
             still = still + dt if calm else 0.0
         return mean
 
+    def _transfer(self) -> Array:
+        """Do the work of `run`."""
+        io, weight = self._io, self._weight
+        if not self._taken.all():
+            if io.servos.stiffness_known and not self._holds():
+                io.servos = io.servos.replace(stiffness_known=False)
+                self._observer.d = WEIGHT_SHARE * self._observer.d
+            weight = weight if io.servos.stiffness_known else self._balance()
+        return self._shrink(weight)
+
+    def _holds(self) -> bool:
+        """Try the leads of the assumed stiffness; return False as soon as a joint moves."""
+        limit = np.abs(self._weight) + torque_margin(self._io.servos, self._weight)
+        limit = np.minimum(limit, self._usable)
+        lead, passed = self._weight / self._kp, 0.0
+        while passed < TRIAL_TIME or (np.abs(self._v).max() > STILL_SPEED and passed < MAX_BALANCE):
+            self._apply(self._start + lead, self._weight, limit)
+            passed += self._step()
+            self._control()
+            risen = (self._io.q - self._start) * np.sign(self._weight)
+            least = np.maximum(TRIAL_STEPS * self._observer.step, TRIAL_SHARE * np.abs(lead))
+            rises = risen > np.maximum(TRIAL_RISE, least)
+            sinks = -risen > np.maximum(TRIAL_SINK, least)
+            if (self._follows & (rises | sinks)).any():
+                return False
+        return True
+
     def _shrink(self, weight: Array) -> Array:
         """Shrink the leads until they just hold the joints; return them (n,) [rad].
 
-        `weight` is the torque that holds each joint (n,) [N·m].
+        `weight` is the torque that holds each joint (n,) [N·m]. Leads of a known stiffness do not
+        shrink.
         """
         io, servos, kp, usable = self._io, self._io.servos, self._kp, self._usable
         taken, start_q = self._taken, self._start

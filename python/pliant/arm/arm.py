@@ -103,7 +103,8 @@ class Arm:
         drive, rate, rest_q, comm_timeout, table: The arguments of the same names.
         detour: Reason why the last lowering skipped the rest pose or gave it up; None if it did
             not.
-        servos: Servo parameters of the chain, n entries; updated when the drive opens.
+        servos: Servo parameters of the chain, n entries; updated when the drive opens. A
+            `stiffness_known` that did not hold the arm at torque on becomes False.
         grippers: Grippers by joint name; created again when the drive opens.
         leads: Goal minus position that held each joint against gravity at torque on (n,) [rad]; NaN
             for a joint that rested on an object, and before the first torque on.
@@ -199,11 +200,11 @@ class Arm:
     def enable(self) -> None:
         """Switch torque on at the present positions, and let the servos take up the weight.
 
-        The first torque limits are close to the gravity torques. If k_p is unknown, the goals then
-        move until each joint stands still under the real load, and the lead (goal − q) that holds
-        it is measured; this takes at most 7.5 s. Then the limits rise within 0.5 s. Joints with
-        torque on keep their goals and limits, and an arm that lies on a table stays there. Signal
-        handlers are installed before torque comes on.
+        The first torque limits are close to the gravity torques. If k_p is unknown, or does not
+        hold the arm as assumed, the goals then move until each joint stands still under the real
+        load, and the lead (goal − q) that holds it is measured; this takes at most 7.7 s. Then the
+        limits rise within 0.5 s. Joints with torque on keep their goals and limits, and an arm that
+        lies on a table stays there. Signal handlers are installed before torque comes on.
 
         Raises:
             ServoTimeoutError: Joints do not answer; the message names them.
@@ -270,6 +271,8 @@ class Arm:
         finally:
             self._displacement = displacement(io, start_q)
         self._leads_q = io.q.copy()
+        if self.servos.stiffness_known and not io.servos.stiffness_known:
+            self.servos, self.model = io.servos, self.model.with_servos(io.servos)
         is_supported = may_lie_on(self.table, self._points, io.q)
         # A sagging supply changes the leads as wrong servo parameters do: report only the sag.
         mismatch = io.watch_supply() or stiffness_mismatch(

@@ -13,7 +13,7 @@ pub(crate) mod scaling;
 pub(crate) mod singularity;
 pub(crate) mod wrench;
 
-use crate::law::friction::{FrictionFeedForward, FrictionGains, OpposedMotion};
+use crate::law::friction::{FrictionGains, MEASURED_SHARE, feed_forward};
 use crate::law::nullspace::NullSpace;
 use crate::law::overspeed::Overspeed;
 use crate::law::singularity::SingularityState;
@@ -233,24 +233,18 @@ impl<J: JointVector> LawInput<'_, J> {
         (stiffness * self.pacing.displacement, along * J::load(&self.params.servos.compliance))
     }
 
-    /// Returns the feed-forward of friction and damping. The direction of friction is that of the joint velocity plus
-    /// `ahead` [rad/s], because a joint at rest has no direction.
+    /// Returns the feed-forward of friction and damping [N·m] of joints that carry the torque `load` [N·m]. The direction
+    /// of friction is that of the joint velocity plus `ahead` [rad/s], because a joint at rest has no direction. Of
+    /// estimated friction and damping, a share is that of `ahead` alone, see [`MEASURED_SHARE`].
     #[inline(always)]
-    pub(crate) fn friction(&self, ahead: J) -> FrictionFeedForward<J> {
-        FrictionFeedForward::new([self.velocity, self.velocity + ahead], &self.params.servos, self.friction_gains)
-    }
-
-    /// Returns the motion at the joint velocity plus `ahead` [rad/s], and what opposes it: along a yielding axis the
-    /// wrench `soft` [N, N·m] of this step, along a stiff one its strength, which it reaches at a small deviation.
-    #[inline(always)]
-    pub(crate) fn opposed_motion(&self, ahead: J, soft: J::Axes) -> OpposedMotion<J> {
-        let (joints, demand) = (self.velocity + ahead, self.demand);
-        OpposedMotion {
-            joints,
-            axes: J::Axes::from_axes(&mul(self.rows, joints)),
-            row_scale: J::Axes::from_axes(&self.params.row_scale),
-            force: J::Axes::abs(soft) + demand.max_strength - demand.softness * demand.strength,
+    pub(crate) fn feed_forward(&self, ahead: J, load: J) -> J {
+        let (servos, gains) = (&self.params.servos, self.friction_gains);
+        let whole = feed_forward([self.velocity, self.velocity + ahead], load, servos, gains);
+        if !servos.estimated {
+            return whole;
         }
+        let planned = feed_forward([ahead, ahead], load, servos, gains);
+        J::fma(J::splat(MEASURED_SHARE), whole - planned, planned)
     }
 
     /// Returns the null-space projector that the settings select.

@@ -24,8 +24,6 @@ pub(super) struct LawInput<'a> {
     pub(super) stiffness: &'a Vector,
     /// Damping of each row [N·s/m, N·m·s/rad].
     pub(super) viscosity: &'a Vector,
-    /// Joint velocity [rad/s].
-    pub(super) velocity: &'a Vector,
     /// Velocity of the target minus that of the tool [m/s, rad/s].
     pub(super) relative: &'a Vector,
     pub(super) gradient: &'a Vector,
@@ -197,7 +195,7 @@ impl LawInput<'_> {
         let ceiling = self.oracle.ceiling();
         let (tau_soft, tau_stiff) = (self.rows.transpose() * soft, self.rows.transpose() * stiff);
         let snapshot = (self.in_goal + &tau_soft + &tau_stiff).zip_map(&ceiling, |torque, max| torque.abs().min(max));
-        let feed_forward = self.within_opposition(self.idle + self.loaded.component_mul(&snapshot), soft);
+        let feed_forward = (self.idle + self.loaded.component_mul(&snapshot)) * self.measured_share();
         let base = self.in_goal + &feed_forward + kp.component_mul(&null);
         let (mut f_soft, mut f_stiff) = (1.0, 1.0);
         if past_limit(&(&base + &tau_soft + &tau_stiff), &ceiling) {
@@ -221,21 +219,10 @@ impl LawInput<'_> {
         }
     }
 
-    /// Returns the feed-forward; of estimated friction and damping, the half that may be too much is reduced to what
-    /// the axes oppose, each for its share of the tool's velocity.
-    fn within_opposition(&self, feed_forward: Vector, soft: &Vector) -> Vector {
-        if self.oracle.servos.as_ref().is_none_or(|servos| servos.stiffness_known) {
-            return feed_forward;
-        }
-        let uncertain = 0.5 * feed_forward.component_mul(self.velocity).abs().sum();
-        let (speed, scaled) = ((self.rows * self.velocity).abs(), (self.scaled * self.velocity).abs());
-        let opposed: f64 = (0..self.k())
-            .map(|r| {
-                let force = soft[r].abs() + self.max_strength[r] - self.softness[r] * self.strength[r];
-                (uncertain * scaled[r] / scaled.sum()).min(force * speed[r])
-            })
-            .sum();
-        feed_forward * if uncertain > 0.0 { 0.5 + 0.5 * opposed / uncertain } else { 1.0 }
+    /// Returns the share of the feed-forward that follows the measured velocity. The reference is at rest here: without
+    /// speed limits it is the target.
+    fn measured_share(&self) -> f64 {
+        if self.oracle.servos.as_ref().is_none_or(|servos| servos.stiffness_known) { 1.0 } else { 0.5 }
     }
 
     /// Returns the factor that keeps the null-space motion within its own speed limit.

@@ -203,7 +203,6 @@ impl Oracle {
             adapted: &adapted,
             stiffness: &stiffness,
             viscosity: &viscosity,
-            velocity: &velocity,
             relative: &relative,
             gradient: &gradient,
             in_goal: &in_goal,
