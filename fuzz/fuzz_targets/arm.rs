@@ -1,3 +1,4 @@
+//! Fuzz target of `pliant_fuzz::arm`.
 #![no_main]
 
 libfuzzer_sys::fuzz_target!(|data: &[u8]| pliant_fuzz::arm::run(data));

@@ -1,3 +1,4 @@
+//! Fuzz target of `pliant_fuzz::batch`.
 #![no_main]
 
 libfuzzer_sys::fuzz_target!(|data: &[u8]| pliant_fuzz::batch::run(data));

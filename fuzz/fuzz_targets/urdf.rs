@@ -1,3 +1,4 @@
+//! Fuzz target of `pliant_fuzz::urdf`.
 #![no_main]
 
 use pliant_fuzz::allocator::Counting;

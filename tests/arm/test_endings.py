@@ -551,7 +551,7 @@ def test_a_descent_is_measured_against_gravity(posted, up, moved, expected):
     ("last_write", "expected"), [(99.0, "tool 30 cm lower"), (100.0, "tool 0 cm lower")]
 )
 def test_a_fall_between_the_loop_and_the_descent_counts(posted, last_write, expected):
-    """Unless the program has moved the arm since the loop."""
+    """The fall does not count if the program has moved the arm since the loop."""
     arm = standing()
     arm.held, arm.last_write = (99.5, np.array([0.0, 0.0, 0.3])), last_write
     messages = ExitMessages("arm", arm, None)

@@ -141,7 +141,7 @@ def test_a_line_that_loses_most_readings_delays_the_end_of_a_descent_only(robot,
 
 
 def test_an_arm_that_a_hand_moves_to_and_fro_is_not_released(model, grasp):
-    """Its positions repeat every 2 s, so they equal those 10 s ago, as if the arm had stopped."""
+    """The positions repeat every 2 s, so they equal those 10 s ago, as if the arm had stopped."""
 
     def reading(tick):
         q = grasp.copy()
@@ -219,7 +219,7 @@ def largest_rise(model, path):
 @pytest.mark.parametrize("silent", [1, 2])
 @pytest.mark.parametrize("name", ["so101", "koch"])
 def test_a_joint_without_positions_goes_down_after_the_others(name, silent):
-    """Its limit fell to zero while it carried a weight, and the arm fell at up to 2 m/s."""
+    """If its torque limit fell to zero with the others, the arm would fall at up to 2 m/s."""
     model = robots.load(name)
     friction = np.asarray(model.servos.friction)
     assert abs(model.gravity(LEANING)[silent]) > 4.0 * friction[silent]
@@ -409,7 +409,7 @@ def test_leads_that_the_limits_do_not_allow_shrink_before_the_way_to_the_rest_po
 def test_a_hand_that_turns_a_joint_on_the_way_to_the_rest_pose_does_not_make_the_others_go_back(
     push, since
 ):
-    """The base is at its rest position, and a hand holds it off by more than `push` [rad]."""
+    """The base joint is at its rest position, and a hand holds it off by more than `push` [rad]."""
     model = robots.so101()
     q, rest = np.array([0.0, 0.6, 0.3, 0.3, 0.0]), [0.0, 1.5, 0.3, 0.6, 0.0]
     goal = q + model.gravity(q) / model.servos.kp
@@ -432,7 +432,7 @@ def test_a_hand_that_turns_a_joint_on_the_way_to_the_rest_pose_does_not_make_the
 def test_after_a_silence_no_goal_is_far_from_its_joint_whichever_joint_answers_first(
     model, grasp, rest, skips
 ):
-    """The servos have received no goal in the meantime."""
+    """The servos have received no goal during the silence."""
     lead = model.gravity(grasp) / model.servos.kp
     lowering = Lowering(model, model.servos, grasp, goal=grasp + lead, rest=rest)
     for _ in range(300):  # the goals wait for 1.7 s if there is a rest pose
@@ -453,7 +453,7 @@ def test_after_a_silence_no_goal_is_far_from_its_joint_whichever_joint_answers_f
 
 @pytest.mark.parametrize("rest", [None, [-0.4, 0.3, 0.0, -0.8, 0.0, 0.0, 0.0]])
 def test_a_joint_taken_over_after_a_silence_leaves_no_goal_far_from_its_joint(model, grasp, rest):
-    """A guardian whose line was dead while one servo had not answered yet."""
+    """The line of a guardian was dead while one servo had not answered yet."""
     lead = model.gravity(grasp) / model.servos.kp
     lowering = Lowering(model, model.servos, grasp, goal=grasp + lead, rest=rest)
     for _ in range(300):  # the goals wait for 1.7 s if there is a rest pose

@@ -556,9 +556,9 @@ def test_an_error_before_torque_names_the_servo_that_keeps_a_torque_limit(family
 
 
 def test_a_servo_that_hears_only_while_torque_comes_on_does_not_lift_the_arm():
-    """It gets limits, but no goals, and still has the large lead of the first goals.
+    """The servo gets limits, but no goals, and still has the large lead of the first goals.
 
-    With a slow adapter, it counts as silent before it gets the goals that hold the arm.
+    With a slow adapter, the servo counts as silent before it gets the goals that hold the arm.
     """
     with arm_over_bytes("sts", STRETCHED, plant={}, timing=SLOW_ADAPTER) as (bus, arm):
         heights = []
@@ -679,7 +679,7 @@ def test_a_push_as_torque_comes_on_is_named_as_a_cause(monkeypatch):
 def test_a_wrong_sign_is_found_as_torque_comes_on(joint):
     """The arm of the test has the sign +1; with the model's weight it pushes where it should hold.
 
-    It fell onto the table, ran the user's program, and swung over its base to the rest pose.
+    Without the check, the arm falls onto the table and swings over its base to the rest pose.
     """
     start, heights = [0.0, -0.6, 0.6, 0.6, 0.0], []
     table = {"scene": [Tabletop(height=0.0)]}

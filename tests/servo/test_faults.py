@@ -50,7 +50,9 @@ def test_one_fault_costs_a_retry_and_no_sample(emulated, enabled, kind, fault):
 
 @pytest.mark.parametrize("rate", [20.0, 100.0])
 def test_a_servo_whose_replies_were_lost_is_read_again_within_a_time(emulated, enabled, rate):
-    """It was skipped for eight cycles, 0.4 s at 20 Hz: with its misses longer than a loop waits."""
+    """Eight skipped cycles (0.4 s at 20 Hz) plus the misses before them would be longer than a loop
+    waits.
+    """
     with emulated("xl430", 3, clock="steps", rate=rate) as (bus, servo_bus):
         enabled(servo_bus)
         for _ in range(5):

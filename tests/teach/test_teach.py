@@ -1,3 +1,5 @@
+"""Teaching by hand and replay, with the simulator and from the command line."""
+
 import io
 import re
 from dataclasses import replace

@@ -28,7 +28,7 @@ pub(crate) struct BusCycle {
     polling: Option<Polling>,
 }
 
-/// How to read all servos.
+/// Request that reads all servos.
 #[cfg(unix)]
 #[derive(Debug)]
 struct Reading {
@@ -49,7 +49,7 @@ struct Reading {
     budget: f64,
 }
 
-/// How to write to all servos.
+/// Packets that write to all servos.
 #[cfg(unix)]
 #[derive(Debug)]
 struct Writing {

@@ -55,8 +55,8 @@ impl<'a> StepAnalysis<'a> {
     }
 
     /// Returns the part [N, N·m] of the `friction` along axis `row` that the feed-forward does not compensate; all of it
-    /// under law `paper`, which has no feed-forward. Of estimated friction, at most what the strength of the axis
-    /// opposes is compensated beyond a fixed share ([`OpposedMotion`](crate::law::friction::OpposedMotion)).
+    /// under law `paper`, which has no feed-forward. If friction is only estimated, the part beyond a fixed share is
+    /// compensated at most up to the strength of the axis ([`OpposedMotion`](crate::law::friction::OpposedMotion)).
     pub(super) fn friction_left(&self, row: usize, friction: f64) -> f64 {
         if !self.params.law.by_force() {
             return friction;

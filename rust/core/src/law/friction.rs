@@ -80,8 +80,9 @@ impl<J: JointVector> OpposedMotion<J> {
     /// and damping are half of the estimate: at least [`UNOPPOSED_SHARE`].
     ///
     /// The power of the rest is attributed to the task axes in proportion to their velocities, and each part is at most
-    /// the power of the axis' own force. A sum over the axes would not do: joints that move one axis move others a
-    /// little, and the force of a stiff axis would then permit a feed-forward that drives one without strength.
+    /// the power of the axis' own force. Each axis is compared by itself, because joints that move one axis move others
+    /// a little: in a comparison of sums, the force of a stiff axis would permit a feed-forward that drives an axis
+    /// without strength.
     #[inline(always)]
     pub(crate) fn share(&self, feed_forward: J) -> f64 {
         let power = (1.0 - UNOPPOSED_SHARE) * J::abs(feed_forward * self.joints).sum();

@@ -169,10 +169,11 @@ pub(crate) fn solve<J: JointVector>(input: &LawInput<'_, J>) -> (LawOutput<J>, O
         let (output, budget) = paper::solve(input);
         return (output, Some(budget));
     }
-    // What the laws that compute a wrench have in common is large, and compiled for each instruction set: only once.
+    // One call for all laws that compute a wrench: the code is large, and compiled for each instruction set.
     let compliance = weighted_gram(input.rows, J::load(&input.params.servos.compliance));
     let demand = match law {
         Law::Impedance => impedance::Impedance::wrench(input, &compliance),
+        // Law `paper` has returned above; this arm includes it only because a match must be exhaustive.
         Law::Cap | Law::Paper => cap::Cap::wrench(input, &compliance),
     };
     (input.joint_offsets(&demand), None)
