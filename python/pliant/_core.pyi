@@ -1759,7 +1759,7 @@ class AxisReport:
     def stop(self) -> tuple[JointStop | None, JointStop | None]:
         """First position limit that a push along the axis reaches; the other axes are fixed.
 
-        None if no joint meets one within 0.15 m or 0.4 rad.
+        None on a side on which no joint meets one within 0.15 m or 0.4 rad.
         """
 
     @property

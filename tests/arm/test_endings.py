@@ -859,7 +859,7 @@ def test_a_silent_joint_of_an_arm_that_is_held_keeps_its_last_goal():
     hold_position(io)
     ((goal, limit, speed),) = sent
     assert (goal[silent], limit[silent]) == (pytest.approx([0.9]), pytest.approx([0.2]))
-    # Its servo may have missed this goal, and must not jump there.
+    # The servo may have missed this goal, and must not jump there.
     assert speed[silent] == pytest.approx([0.01])
     assert np.isinf(speed[~silent]).all()
     assert np.abs(goal[~silent] - io.q[~silent]).max() < 0.2

@@ -577,7 +577,9 @@ def test_an_assigned_controller_belongs_to_its_loop():
 @pytest.mark.parametrize("robot", ["so101", "koch"])
 @pytest.mark.parametrize("is_new", [False, True], ids=["same controller", "new controller"])
 def test_a_second_loop_holds_an_arm_that_has_moved_since_torque_on(robot, is_new):
-    """The weight of torque on, taken for that of the new pose, let so101 sink by 34 mm."""
+    """With the weight that was measured as torque came on, so101 would sink by 34 mm in the new
+    pose.
+    """
     q, away = (0.0, -1.2, 1.2, 0.4, 0.0), (0.0, 0.9, -0.3, 0.4, 0.0)
     settings = pliant.Settings.firm(task="xyz")
     with pliant.connect(robot, backend="sim", q=q, table=False) as arm:

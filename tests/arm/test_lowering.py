@@ -423,7 +423,7 @@ def test_a_hand_that_turns_a_joint_on_the_way_to_the_rest_pose_does_not_make_the
         q[0] += push if since < time < since + 2.0 else 0.0
         lifts.append(q[1])
     way_back = np.maximum.accumulate(lifts) - lifts
-    # 0.19 to 0.27 rad, and the tool rises by 16 to 62 mm, if the others go back with the base.
+    # 0.19 to 0.27 rad if the others went back with the base; the tool would rise by 16 to 62 mm.
     assert way_back.max() < 0.005
 
 
@@ -532,8 +532,7 @@ def test_a_blind_descent_does_not_lift_the_tool(q, stiffness):
         # Servos without delay, each with the lead that its weight needs.
         q = np.clip(command.goal - model.gravity(q) / kp, model.lower, model.upper)
         heights.append(model.forward_kinematics(q)[2, 3])
-    # 24 mm and more, and up to 20 cm over emulated servos, if the tool may rise to its height at
-    # the start.
+    # 24 mm or more, up to 20 cm with emulated servos, if the tool could rise to its initial height.
     assert np.max(heights - np.minimum.accumulate(heights)) < 0.005
 
 
@@ -552,5 +551,5 @@ def test_an_arm_without_positions_waits_on_its_way_to_the_rest_pose():
         heights.append(model.forward_kinematics(q)[2, 3])
     assert lowering.blind
     assert 1.5 < passed < 2.0
-    # 0.26 m if the goals go on.
+    # If the goals went on, the tool would rise by 0.26 m.
     assert max(heights) < start + 0.005

@@ -562,7 +562,7 @@ def test_a_servo_that_is_silent_gets_no_goal_before_its_torque_is_known(
 
 @pytest.mark.parametrize("model", ["STS3215", "RX-64"])
 def test_a_silent_servo_gets_a_goal_only_with_a_speed_cap_in_the_same_packet(fake_bus, model):
-    """It may have restarted: a goal then switches torque on, and the cap prevents a jump."""
+    """The servo may have restarted: a goal then switches torque on, and the cap prevents a jump."""
     chain = Chain(fake_bus, model, "p2")
     assert len(chain.devices[1].family.write) == 1
     chain.cycle()

@@ -275,7 +275,9 @@ def test_an_overload_that_leaves_the_torque_on_is_no_fault(emulated, enabled, ki
 @pytest.mark.parametrize("trips", [(1, 2), (2, 1), (1,), (2,)])
 @pytest.mark.parametrize("kind", ["xm", "mx"])
 def test_overloads_of_both_servos_of_a_joint_are_no_fault(emulated, enabled, kind, trips):
-    """They share the load, so both report an overload before the cause of the first is read."""
+    """The servos share the load, so both report an overload before the cause of the first is
+    read.
+    """
     with Emulator(devices(kind, 2), clock="steps") as bus:
         for id in (1, 2):
             bus.servo(id).put("shutdown", bus.servo(id).get("shutdown") & ~0x20)

@@ -335,7 +335,7 @@ MAX_UNSENT = 0.2
 MAX_RESTARTS = 2
 #: Time for which an arm at rest waits for joints whose torque is unknown, before torque off [s].
 UNKNOWN_TIME = 20.0
-#: Distance of a joint from the rest pose from which on the pose counts as missed [rad].
+#: Distance of a joint from the rest pose above which the pose counts as missed [rad].
 MISSED_POSE = 0.05
 
 

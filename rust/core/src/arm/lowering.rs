@@ -53,9 +53,9 @@ const MAX_AHEAD: f64 = 0.03;
 const MIN_WAY: f64 = 0.2;
 /// Time in which a joint that stands still on the way to the rest pose doubles its push [s].
 const PUSH_GROWTH_TIME: f64 = 0.5;
-/// Ratio of goal speed to the excess of the lead when descending without a rest pose [1/s].
+/// Ratio of goal speed to the excess lead (see `excess_lead`) when descending without a rest pose [1/s].
 const DOWN_RATE: f64 = 40.0;
-/// Largest share of the excess of the lead that a goal moves in one tick. Above 1, the goals of an arm on a slow line
+/// Largest share of the excess lead by which a goal moves in one tick. Above 1, the goals of an arm on a slow line
 /// would oscillate.
 const MAX_GAIN: f64 = 0.8;
 /// Time in which the goals' speed rises from zero at the start of a phase [s].
@@ -97,8 +97,8 @@ const SINKING: f64 = 0.004;
 /// Largest increase of the torque limit of a sinking joint, as a multiple of the torque by which its servo resists the
 /// increase of its lead.
 const SINKING_GAIN: f64 = 4.0;
-/// Speed from which on a sinking joint has the multiple [`SINKING_GAIN`] [rad/s]. The multiple of a slower joint is
-/// less, down to 1 at rest: more torque would throw the joint if its lead is larger than its load needs.
+/// Speed above which a sinking joint has the multiple [`SINKING_GAIN`] [rad/s]. The multiple of a slower joint is less,
+/// down to 1 at rest: more torque would throw the joint if its lead is larger than its load needs.
 const FALLING_SPEED: f64 = 0.2;
 /// Excess of the lead below which a joint counts as unloaded [rad]; 1.5 encoder counts if that is more.
 const ZERO_LEAD: f64 = 0.003;
@@ -119,7 +119,8 @@ const RAMP_TIME: f64 = 0.6;
 /// limit allows.
 const STIFFER: f64 = 2.5;
 const SOFTER: f64 = 2.0;
-/// Speed at which such a lead shrinks once the joint may begin to sink [rad/s], and the longest time for shrinking [s].
+/// Speed at which a lead that is larger than the torque limit allows shrinks once its joint may begin to sink [rad/s],
+/// and the longest time for shrinking [s].
 const SHRINK_SPEED: f64 = 0.15;
 const SHRINK_TIME: f64 = 3.0;
 /// Share of the torque limits that remains while the arm moves.
@@ -296,7 +297,7 @@ pub struct Lowering {
     time: f64,
     /// Time [s] and positions [rad] since which no point has moved by [`STOPPED_DISTANCE`].
     compared: (f64, JointVec),
-    /// True if no point has moved so far for [`STOPPED_TIME`].
+    /// True if no point has moved by [`STOPPED_DISTANCE`] for [`STOPPED_TIME`].
     has_stopped: bool,
     /// Time since the last tick in which goals or limits were updated, at most [`MAX_TICK`] [s].
     waited: f64,

@@ -54,7 +54,7 @@ impl<'a> AxisForces<'a> {
         Self { rules, base_from_task, stiffness }
     }
 
-    /// Returns the entries of the task rows of a 6-vector in base axes.
+    /// Returns the components of a 6-vector in base axes along the axes of the task rows.
     fn rows_of(&self, v: &AxisVec) -> AxisVec {
         let turned = base_to_task::<BaselineF64>(&self.base_from_task, v);
         self.rules.params.select_rows::<BaselineF64x8>(&turned).to_axes()

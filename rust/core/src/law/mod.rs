@@ -40,7 +40,7 @@ pub(crate) struct LawInput<'a, J: JointVector> {
     /// `rows` with translations divided by the arm's length scale, so that singular values have no unit.
     pub(crate) scaled_rows: &'a [J; MAX_AXES],
     pub(crate) singularity: &'a SingularityState,
-    /// λ² of each task row, in the units of that row.
+    /// Squared damping λ² of each task row, in the units of that row.
     pub(crate) damping: J::Axes,
     /// Velocity and acceleration terms of the reference.
     pub(crate) pacing: Pacing<J::Axes>,
@@ -66,7 +66,7 @@ pub(crate) struct Pacing<W> {
     pub(crate) displacement: W,
     /// Velocity of the reference [m/s, rad/s].
     pub(crate) velocity: W,
-    /// Factors on the forces that would accelerate a tool that is too fast; `None`: it is not.
+    /// Factors on the forces that would accelerate a tool that is too fast; `None` if the tool is slow enough.
     pub(crate) overspeed: Option<Overspeed<W>>,
 }
 
@@ -202,7 +202,7 @@ pub(crate) struct AxisPush<'a> {
     pub(crate) side: usize,
     /// Jacobian row of the axis.
     pub(crate) j_row: &'a JointVec,
-    /// λ²/k̄ of the row, with the servos' mean stiffness k̄.
+    /// Damping of the row, `λ²/k̄`, with the servos' mean stiffness k̄.
     pub(crate) damping: f64,
     /// Factor ≤ 1 on the stiffness at the last step.
     pub(crate) gain_factor: f64,

@@ -90,7 +90,7 @@ fn blend_sides<W: F64x8>(plus: W, pair: &[AxisArray; 2]) -> W {
     lerp::<W>(plus, W::from_array(&pair[0]), W::from_array(&pair[1]))
 }
 
-/// Returns `K_x ẽ`.
+/// Returns the task velocity `K_x ẽ` that the gain requests.
 #[inline(always)]
 fn apply_kx<W: F64x8>(params: &Params, features: Features, adapted: W) -> W {
     if !features.coupled_gain {
