@@ -1,4 +1,3 @@
-//! Fuzz target of `pliant_fuzz::arm`.
 #![no_main]
 
 libfuzzer_sys::fuzz_target!(|data: &[u8]| pliant_fuzz::arm::run(data));

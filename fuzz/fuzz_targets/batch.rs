@@ -1,4 +1,3 @@
-//! Fuzz target of `pliant_fuzz::batch`.
 #![no_main]
 
 libfuzzer_sys::fuzz_target!(|data: &[u8]| pliant_fuzz::batch::run(data));

@@ -1,4 +1,3 @@
-//! Fuzz target of `pliant_fuzz::step`.
 #![no_main]
 
 libfuzzer_sys::fuzz_target!(|data: &[u8]| pliant_fuzz::step::run(data));

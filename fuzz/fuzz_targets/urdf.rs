@@ -1,4 +1,3 @@
-//! Fuzz target of `pliant_fuzz::urdf`.
 #![no_main]
 
 use pliant_fuzz::allocator::Counting;

@@ -402,9 +402,7 @@ def test_a_controller_steps_one_arm_at_a_time(make):
 
 @pytest.mark.parametrize("starts", ["new every tick", "reset every tick", "new once", "never"])
 def test_a_controller_that_starts_anew_in_every_tick_is_reported_once(starts):
-    """With such a controller the goals stay near the positions, and the arm sinks by 0.1 m or
-    more.
-    """
+    """The goals stay near the positions, so that the arm sinks by 0.1 m or more."""
     settings = pliant.Settings.firm(task="xyz")
     with pliant.connect("so101", backend="sim", q=(0.0, -0.3, 0.3, 0.9, 0.0), table=False) as arm:
         controller = pliant.Controller(arm.model, settings, arm.servos)
@@ -577,9 +575,7 @@ def test_an_assigned_controller_belongs_to_its_loop():
 @pytest.mark.parametrize("robot", ["so101", "koch"])
 @pytest.mark.parametrize("is_new", [False, True], ids=["same controller", "new controller"])
 def test_a_second_loop_holds_an_arm_that_has_moved_since_torque_on(robot, is_new):
-    """With the weight that was measured as torque came on, so101 would sink by 34 mm in the new
-    pose.
-    """
+    """With the weight measured at torque on, so101 would sink by 34 mm in the new pose."""
     q, away = (0.0, -1.2, 1.2, 0.4, 0.0), (0.0, 0.9, -0.3, 0.4, 0.0)
     settings = pliant.Settings.firm(task="xyz")
     with pliant.connect(robot, backend="sim", q=q, table=False) as arm:

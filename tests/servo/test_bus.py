@@ -308,9 +308,7 @@ def test_two_servos_of_a_joint_disagree_only_about_angles_that_were_read():
 
 @pytest.mark.parametrize("is_wrong", [False, True])
 def test_the_last_reading_of_a_silent_servo_is_not_compared(is_wrong):
-    """The joint moves on while the servo is silent: if they were compared, its servos would
-    disagree.
-    """
+    """The joint moves on while one servo is silent, so that its servos would disagree."""
     spec = ServoSpec(name="lift", model="XM540-W270", id=1, port="p", secondary=(2, 1))
     joint = [driver.Device(spec, 0, 1, 1), driver.Device(spec, 0, 2, 1)]
     zero, count = joint[0].units.zero, joint[0].units.count

@@ -44,8 +44,7 @@ const MIN_SPEED_LIMIT: f64 = 0.01;
 /// Ratio of goal speed to the joint's distance from the rest pose [1/s].
 const REST_RATE: f64 = 4.0;
 /// Angle by which a joint may be ahead of the slowest one, which has the largest share of its way to the rest pose left
-/// [rad]. The goal of a joint slows down on the way to this angle, stops there, and moves back from twice this angle
-/// on.
+/// [rad]. The goal of a joint slows down on the way to this angle, stops there, and moves back beyond twice this angle.
 const MAX_AHEAD: f64 = 0.03;
 /// Lower bound on the way to the rest pose by which the distance left is divided to get its share [rad], or the longest
 /// way of all joints if that is less. With a shorter way, a joint that its load pulls off its rest position would make
@@ -119,8 +118,7 @@ const RAMP_TIME: f64 = 0.6;
 /// limit allows.
 const STIFFER: f64 = 2.5;
 const SOFTER: f64 = 2.0;
-/// Speed at which a lead that is larger than the torque limit allows shrinks once its joint may begin to sink [rad/s],
-/// and the longest time for shrinking [s].
+/// Speed at which a lead beyond the torque limit shrinks once its joint may sink [rad/s], and the longest time [s].
 const SHRINK_SPEED: f64 = 0.15;
 const SHRINK_TIME: f64 = 3.0;
 /// Share of the torque limits that remains while the arm moves.
@@ -279,8 +277,7 @@ pub struct Lowering {
     least_lead: JointVec,
     /// Last measured minus modelled lead [rad]; added to the modelled lead while no positions arrive.
     unmodelled_lead: JointVec,
-    /// Filtered lead with which a joint last moved freely toward the rest pose [rad]; the lead beyond it is the push of
-    /// the joint.
+    /// Filtered lead with which a joint last moved freely toward the rest pose [rad]; the lead beyond it is its push.
     free_lead: JointVec,
     /// Increase of the largest push for a joint that stands still on the way to the rest pose [rad].
     extra_push: JointVec,

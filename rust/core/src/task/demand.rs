@@ -9,8 +9,7 @@ use crate::task::compliance::{compliance_by, lerp};
 /// Deviation of each task axis and the quantities computed from it; one lane per task axis, zeros in unused lanes.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct AxisDemand<W> {
-    /// Deviation e = target − tool [m, rad]; under laws that compute a wrench, from the target at the arrival of the
-    /// goal.
+    /// Deviation e = target − tool [m, rad]; under laws that compute a wrench, from the target when the goal arrives.
     pub(crate) deviation: W,
     /// Adapted deviation ẽ = (1 − η w) e [m, rad].
     pub(crate) adapted: W,
