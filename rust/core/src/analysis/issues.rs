@@ -158,7 +158,7 @@ pub(super) fn axis_issues(
     out: &mut Vec<Issue>,
 ) {
     if !controller.params.law.by_force() {
-        return; // The strengths of law `paper` are torque budgets, not forces to compare with.
+        return; // The strengths of law `paper` are torque budgets, which cannot be compared with forces.
     }
     let row = &controller.params.per_axis[r];
     let (name, user, unit) = (AXIS_NAMES[row.axis], &controller.settings().axes[row.axis], unit(row.axis));
