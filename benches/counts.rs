@@ -1,6 +1,6 @@
 //! Stages of the control step for counting instructions: `counts STAGE` runs one stage, `counts --stages` lists them.
 //!
-//! `benches/counts.py` runs it without an argument, that is all stages, under callgrind, and counts the instructions
+//! `benches/counts.py` runs it without an argument, that is, all stages, under callgrind, and counts the instructions
 //! inside [`counted`] only.
 #![allow(clippy::expect_used, clippy::print_stdout, reason = "a bench that cannot be set up has nothing to say")]
 

@@ -2,7 +2,7 @@
 
 In random poses of every arm, a hand pushes the tool along every axis in both directions, for
 several caps of this axis. The other axes are once free and once guided by springs. On `arm7` the
-campaign also tests single disturbances, in a tenth of the poses. A push is refused, that is not
+campaign also tests single disturbances, in a tenth of the poses. A push is refused, that is, not
 run, if the servos cannot exert the cap in the pose (`Arm.capacity`). A force outside the band below
 is announced if `Controller.report` predicts, before the push, that a joint meets its position limit
 and that the friction of the other joints exceeds the band. Of all other forces, the share `GOALS`

@@ -2,10 +2,10 @@
 
 The gears of `arm7` and `so101` have the friction identified on real gears, which stick and rub more
 under load. The controller knows this friction, but the true one is 0.7, 1 and 1.3 times as large. A
-hand drags the tool along a soft axis, and the arm opens a door. It prints the largest force
-of the hand and at the handle without a remedy and for each remedy, and the price of the remedy in
-an arm at rest: torque reversals, heat, and minutes without a limit cycle. With ``--rest-only`` it
-measures only the arm at rest, and does not stop at the first limit cycle.
+hand drags the tool along a soft axis, and the arm opens a door. The program prints the largest
+force of the hand and at the handle without a remedy and for each remedy, and the price of the
+remedy in an arm at rest: torque reversals, heat, and minutes without a limit cycle. With
+``--rest-only`` it measures only the arm at rest, and does not stop at the first limit cycle.
 
 The remedies are not in the package: each adds torques to the command of `pliant.Controller`.
 """

@@ -518,8 +518,8 @@ def main(only: Annotated[str, tyro.conf.Positional] = "", creep: float = 1.0) ->
 
     Args:
         only: Text that selects the rows whose scenario contains it.
-        creep: Creep speed of joints held by friction, relative to MuJoCo's default. With another
-            value than 1, caps are measured in a tenth of the poses, and the table of rates is
+        creep: Creep speed of joints held by friction, relative to MuJoCo's default. With a value
+            other than 1, caps are measured in a tenth of the poses, and the table of rates is
             omitted.
     """
     print(text(table(only, creep)))

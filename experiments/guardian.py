@@ -1,9 +1,9 @@
 """Endings of a program that cannot lower its arm: ``python -m experiments.guardian``.
 
 Emulated servos run in a process of their own, in real time. Another process enables the arm, and
-is ended at a random time in a phase. Its guardian lowers the arm. The program prints the tables
-of docs/descents.md: for each ending, the time until the guardian's first goal and the motion of the
-arm; then the cost of the guardian.
+is ended at a random time in one of its phases (`PHASES`). Its guardian lowers the arm. The program
+prints the tables of docs/descents.md: for each ending, the time until the guardian's first goal and
+the motion of the arm; then the cost of the guardian.
 """
 
 from __future__ import annotations

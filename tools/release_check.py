@@ -2,11 +2,11 @@
 
     python tools/release_check.py [TARGET...]
 
-Takes the last commit, not the files of the work tree. Builds it in two folders, once with another
-time zone and file mode mask, and compares the archives byte by byte; checks archives, bill of
-materials, licences, pins, versions and tag; installs the wheel and the source distribution into
-fresh environments, and runs the README's first program. TARGET: Rust targets whose wheels are
-built, by default Linux x86-64. Needs a network for the packages.
+The program takes the last commit, not the files of the work tree, builds it in two folders, once
+with another time zone and file mode mask, and compares the archives byte by byte. It checks
+archives, bill of materials, licences, pins, versions and tag, installs the wheel and the source
+distribution into fresh environments, and runs the README's first program. TARGET: Rust targets
+whose wheels are built, by default Linux x86-64. Needs a network for the packages.
 """
 
 from __future__ import annotations

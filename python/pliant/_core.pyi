@@ -1758,7 +1758,7 @@ class AxisReport:
     def stop(self) -> tuple[JointStop | None, JointStop | None]:
         """First position limit that a push along the axis reaches; the other axes are fixed.
 
-        None if no joint meets one within 0.15 m or 0.4 rad.
+        None on a side on which no joint meets one within 0.15 m or 0.4 rad.
         """
 
     @property
@@ -3479,7 +3479,7 @@ class ServoCodec:
 
 @disjoint_base
 class PortState:
-    """State of the requests on one serial port, of which `TransactionGuard` makes the most.
+    """State of the requests on one serial port; `TransactionGuard` makes most of them.
 
     Attributes:
         is_dirty: True if the last request has failed, so that the line must be drained.
@@ -3640,8 +3640,8 @@ class BusCycle:
 class ExclusiveAccess:
     """Lock of an arm, and the time of the last access to it.
 
-    As a context, it is held during one access to the drive. The method `check` of the subclass is
-    called, before and after the lock is taken, if `reason` is set; and before, in a forked process.
+    As a context, it is held during one access to the drive. If `reason` is set, the method `check`
+    of the subclass is called before and after the lock is taken; in a forked process, only before.
 
     Args:
         lock: Lock that the thread with access to the drive holds.
@@ -3649,7 +3649,7 @@ class ExclusiveAccess:
         clock: Function that returns the time [s].
 
     Attributes:
-        reason: Reason for which no access is possible; None: it is.
+        reason: Reason for which no access is possible; None: access is possible.
         last_call: Time of the end of the last access [s].
         heartbeat: Memory of two times [s], see `Supervisor`.
     """
@@ -3673,7 +3673,7 @@ class ExclusiveAccess:
 class ArmCycle:
     """Readings and commands of all N joints of a drive, as far as every control cycle needs them.
 
-    The subclass `ArmIO` has the methods for what is rare.
+    The subclass `ArmIO` adds the methods that are called rarely.
 
     Attributes:
         drive: The drive.

@@ -551,7 +551,7 @@ def test_a_descent_is_measured_against_gravity(posted, up, moved, expected):
     ("last_write", "expected"), [(99.0, "tool 30 cm lower"), (100.0, "tool 0 cm lower")]
 )
 def test_a_fall_between_the_loop_and_the_descent_counts(posted, last_write, expected):
-    """Unless the program has moved the arm since the loop."""
+    """The fall does not count if the program has moved the arm since the loop."""
     arm = standing()
     arm.held, arm.last_write = (99.5, np.array([0.0, 0.0, 0.3])), last_write
     messages = ExitMessages("arm", arm, None)
@@ -859,7 +859,7 @@ def test_a_silent_joint_of_an_arm_that_is_held_keeps_its_last_goal():
     hold_position(io)
     ((goal, limit, speed),) = sent
     assert (goal[silent], limit[silent]) == (pytest.approx([0.9]), pytest.approx([0.2]))
-    # Its servo may have missed this goal, and must not jump there.
+    # The servo may have missed this goal, and must not jump there.
     assert speed[silent] == pytest.approx([0.01])
     assert np.isinf(speed[~silent]).all()
     assert np.abs(goal[~silent] - io.q[~silent]).max() < 0.2

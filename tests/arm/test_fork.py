@@ -90,7 +90,7 @@ sys.exit(0)
 
 @pytest.mark.parametrize("fork", ["os.fork()", "ctypes.CDLL(None).fork()"])
 def test_a_fork_of_the_process_that_imported_the_package_is_noticed(fork):
-    # `programs.run` is unsuitable: its programs are forks themselves.
+    # `programs.run` is unsuitable: it forks to start a program.
     program = f"""
 import ctypes, os
 import pliant

@@ -402,7 +402,7 @@ def test_a_controller_steps_one_arm_at_a_time(make):
 
 @pytest.mark.parametrize("starts", ["new every tick", "reset every tick", "new once", "never"])
 def test_a_controller_that_starts_anew_in_every_tick_is_reported_once(starts):
-    """The goals are then never far from the positions, and the arm sinks by 0.1 m and more."""
+    """The goals stay near the positions, so that the arm sinks by 0.1 m or more."""
     settings = pliant.Settings.firm(task="xyz")
     with pliant.connect("so101", backend="sim", q=(0.0, -0.3, 0.3, 0.9, 0.0), table=False) as arm:
         controller = pliant.Controller(arm.model, settings, arm.servos)
@@ -454,7 +454,7 @@ def test_repeated_pauses_do_not_swing_an_arm_at_rest(q, every):
 
 @pytest.mark.parametrize(("robot", "goal_slew"), [("koch", 1.0), ("koch", 0.2), ("so101", 0.2)])
 def test_goals_carry_the_arm_from_the_first_tick_on(robot, goal_slew):
-    """Also where the goals may move slowly, and where the program pauses after the first tick."""
+    """The goals may move only slowly, and the program pauses after the first tick."""
     settings = pliant.Settings.firm(task="xyz", tracking=pliant.Tracking(goal_slew=goal_slew))
     moved, _ = motion(robot, (-0.5, 0.6, -0.4, 0.3, 0.5), settings, {0: 0.45}, 1.0)
     assert np.linalg.norm(moved, axis=1).max() < 0.006
@@ -462,7 +462,7 @@ def test_goals_carry_the_arm_from_the_first_tick_on(robot, goal_slew):
 
 @pytest.mark.parametrize("angle", [0.2, 0.0])
 def test_an_arm_that_moved_in_a_gap_returns_to_its_target_slowly(angle):
-    """Its reference starts at the tool; otherwise it stays at the target."""
+    """The reference pose starts at the tool if the arm moved; otherwise it stays at the target."""
     settings = pliant.Settings.firm(task="xyz")
     with pliant.connect("so101", backend="sim", q=(0.0, -0.3, 0.3, 0.9, 0.0), table=False) as arm:
         controller = pliant.Controller(arm.model, settings, arm.servos)
@@ -575,7 +575,7 @@ def test_an_assigned_controller_belongs_to_its_loop():
 @pytest.mark.parametrize("robot", ["so101", "koch"])
 @pytest.mark.parametrize("is_new", [False, True], ids=["same controller", "new controller"])
 def test_a_second_loop_holds_an_arm_that_has_moved_since_torque_on(robot, is_new):
-    """The weight of torque on, taken for that of the new pose, let so101 sink by 34 mm."""
+    """With the weight measured at torque on, so101 would sink by 34 mm in the new pose."""
     q, away = (0.0, -1.2, 1.2, 0.4, 0.0), (0.0, 0.9, -0.3, 0.4, 0.0)
     settings = pliant.Settings.firm(task="xyz")
     with pliant.connect(robot, backend="sim", q=q, table=False) as arm:

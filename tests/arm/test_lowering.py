@@ -143,7 +143,7 @@ def test_a_line_that_loses_most_readings_delays_the_end_of_a_descent_only(robot,
 
 
 def test_an_arm_that_a_hand_moves_to_and_fro_is_not_released(model, grasp):
-    """Its positions repeat every 2 s, so they equal those 10 s ago, as if the arm had stopped."""
+    """The positions repeat every 2 s, so they equal those 10 s ago, as if the arm had stopped."""
 
     def reading(tick):
         q = grasp.copy()
@@ -221,7 +221,7 @@ def largest_rise(model, path):
 @pytest.mark.parametrize("silent", [1, 2])
 @pytest.mark.parametrize("name", ["so101", "koch"])
 def test_a_joint_without_positions_goes_down_after_the_others(name, silent):
-    """Its limit fell to zero while it carried a weight, and the arm fell at up to 2 m/s."""
+    """If its torque limit fell to zero with the others, the arm would fall at up to 2 m/s."""
     model = robots.load(name)
     friction = np.asarray(model.servos.friction)
     assert abs(model.gravity(LEANING)[silent]) > 4.0 * friction[silent]
@@ -411,7 +411,7 @@ def test_leads_that_the_limits_do_not_allow_shrink_before_the_way_to_the_rest_po
 def test_a_hand_that_turns_a_joint_on_the_way_to_the_rest_pose_does_not_make_the_others_go_back(
     push, since
 ):
-    """The base is at its rest position, and a hand holds it off by more than `push` [rad]."""
+    """The base joint is at its rest position, and a hand holds it off by more than `push` [rad]."""
     model = robots.so101()
     q, rest = np.array([0.0, 0.6, 0.3, 0.3, 0.0]), [0.0, 1.5, 0.3, 0.6, 0.0]
     goal = q + model.gravity(q) / model.servos.kp
@@ -425,7 +425,7 @@ def test_a_hand_that_turns_a_joint_on_the_way_to_the_rest_pose_does_not_make_the
         q[0] += push if since < time < since + 2.0 else 0.0
         lifts.append(q[1])
     way_back = np.maximum.accumulate(lifts) - lifts
-    # 0.19 to 0.27 rad, and the tool rises by 16 to 62 mm, if the others go back with the base.
+    # 0.19 to 0.27 rad if the others went back with the base; the tool would rise by 16 to 62 mm.
     assert way_back.max() < 0.005
 
 
@@ -434,7 +434,7 @@ def test_a_hand_that_turns_a_joint_on_the_way_to_the_rest_pose_does_not_make_the
 def test_after_a_silence_no_goal_is_far_from_its_joint_whichever_joint_answers_first(
     model, grasp, rest, skips
 ):
-    """The servos have received no goal in the meantime."""
+    """The servos have received no goal during the silence."""
     lead = model.gravity(grasp) / model.servos.kp
     lowering = Lowering(model, model.servos, grasp, goal=grasp + lead, rest=rest)
     for _ in range(300):  # the goals wait for 1.7 s if there is a rest pose
@@ -455,7 +455,7 @@ def test_after_a_silence_no_goal_is_far_from_its_joint_whichever_joint_answers_f
 
 @pytest.mark.parametrize("rest", [None, [-0.4, 0.3, 0.0, -0.8, 0.0, 0.0, 0.0]])
 def test_a_joint_taken_over_after_a_silence_leaves_no_goal_far_from_its_joint(model, grasp, rest):
-    """A guardian whose line was dead while one servo had not answered yet."""
+    """The line of a guardian was dead while one servo had not answered yet."""
     lead = model.gravity(grasp) / model.servos.kp
     lowering = Lowering(model, model.servos, grasp, goal=grasp + lead, rest=rest)
     for _ in range(300):  # the goals wait for 1.7 s if there is a rest pose
@@ -534,8 +534,7 @@ def test_a_blind_descent_does_not_lift_the_tool(q, stiffness):
         # Servos without delay, each with the lead that its weight needs.
         q = np.clip(command.goal - model.gravity(q) / kp, model.lower, model.upper)
         heights.append(model.forward_kinematics(q)[2, 3])
-    # 24 mm and more, and up to 20 cm over emulated servos, if the tool may rise to its height at
-    # the start.
+    # 24 mm or more, up to 20 cm with emulated servos, if the tool could rise to its initial height.
     assert np.max(heights - np.minimum.accumulate(heights)) < 0.005
 
 
@@ -554,5 +553,5 @@ def test_an_arm_without_positions_waits_on_its_way_to_the_rest_pose():
         heights.append(model.forward_kinematics(q)[2, 3])
     assert lowering.blind
     assert 1.5 < passed < 2.0
-    # 0.26 m if the goals go on.
+    # If the goals went on, the tool would rise by 0.26 m.
     assert max(heights) < start + 0.005

@@ -506,7 +506,7 @@ def test_a_line_dead_for_a_time_makes_no_joint_of_an_arm_taken_over_jump(family,
         monkeypatch.setattr(clock, "wait_until", watch)
         arm._resume("the program has ended")
         assert not any(servo.enabled for servo in bus.servos)
-        # 1.2 (so101) and 0.6 m/s (koch) if the descent starts again from the goals sent meanwhile.
+        # 1.2 (so101) and 0.6 m/s (koch) if the descent restarted from the goals sent meanwhile.
         assert max(speeds) < 0.15
         copy.close()
 
@@ -530,7 +530,8 @@ def test_a_descent_without_replies_that_is_aborted_does_not_lift_the_arm(monkeyp
         assert low < start - 0.04
         bus.faults.clear()
         wait(arm.clock.now() + 1.0)
-        # 56 mm and 0.3 m/s if the arm is held where its positions were last known.
+        # If the arm were held where its positions were last known, it would rise by 56 mm at 0.3
+        # m/s.
         assert bus.plant.tool[2, 3] < low + 0.005
         arm.close()
 
@@ -556,9 +557,9 @@ def test_an_error_before_torque_names_the_servo_that_keeps_a_torque_limit(family
 
 
 def test_a_servo_that_hears_only_while_torque_comes_on_does_not_lift_the_arm():
-    """It gets limits, but no goals, and still has the large lead of the first goals.
+    """The servo gets limits, but no goals, and still has the large lead of the first goals.
 
-    With a slow adapter, it counts as silent before it gets the goals that hold the arm.
+    With a slow adapter, the servo counts as silent before it gets the goals that hold the arm.
     """
     with arm_over_bytes("sts", STRETCHED, plant={}, timing=SLOW_ADAPTER) as (bus, arm):
         heights = []
@@ -572,7 +573,7 @@ def test_a_servo_that_hears_only_while_torque_comes_on_does_not_lift_the_arm():
         bus.world.watchers.append(watch)
         with pytest.raises(pliant.ServoTimeoutError, match="no position of shoulder_lift"):
             arm.enable()
-        # 19 mm if its limit rises.
+        # If its limit rose, the arm would rise by 19 mm.
         assert max(heights) - heights[0] < 0.005
         bus.faults.clear()
         arm.close()
@@ -618,7 +619,7 @@ def test_a_gripper_with_torque_does_not_let_go_as_the_arm_is_taken_over(is_same)
         arm.write(arm.read().q)
         arm.clock.wait_until(arm.clock.now() + 0.1)
         assert [gripper.get(name) for name in names] == before
-        # 0.03 N·m with the measured position as goal.
+        # With the measured position as goal, the torque would be 0.03 N·m.
         assert abs(bus.plant.mj_data.actuator("gripper").force[0]) == pytest.approx(0.5, rel=0.05)
         arm.disable_torque()
         arm.enable()  # without torque, the gripper stays where it is
@@ -679,7 +680,7 @@ def test_a_push_as_torque_comes_on_is_named_as_a_cause(monkeypatch):
 def test_a_wrong_sign_is_found_as_torque_comes_on(joint):
     """The arm of the test has the sign +1; with the model's weight it pushes where it should hold.
 
-    It fell onto the table, ran the user's program, and swung over its base to the rest pose.
+    Without the check, the arm falls onto the table and swings over its base to the rest pose.
     """
     start, heights = [0.0, -0.6, 0.6, 0.6, 0.0], []
     table = {"scene": [Tabletop(height=0.0)]}
@@ -770,7 +771,7 @@ def test_a_trip_that_the_next_command_ends_is_told_once(family, monkeypatch):
         target = arm.model.forward_kinematics(arm.read().q)
         for tick in pliant.Loop(arm, controller, duration=2.0):
             tick.step(target)
-            if tick.index in {50, 100}:  # the next reading has it, the goal of that tick resets it
+            if tick.index in {50, 100}:  # the next reading shows it; the goal of that tick ends it
                 bus.trip(3, "overload")
         told = [text for text in texts if "tripped" in text]
         assert len(told) == 1, texts

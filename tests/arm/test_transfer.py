@@ -123,7 +123,7 @@ class Pair:
 
 
 BOTH, NAN = (True, True), np.nan
-#: Rate [Hz], options of `Pair`, and what `Pair.run` returned.
+#: Rate [Hz], options of `Pair`, and the result of `Pair.run`.
 CASES = [
     (100.0, {}, 465,
      [289.4341, -177.3696, 894.7839, 500.6174, 1.705443, 0.8707053, 0.09183272, -0.04416346]),

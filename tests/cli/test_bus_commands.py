@@ -1,3 +1,5 @@
+"""Commands `scan`, `setup`, `doctor` and `run` with emulated servos and the simulator."""
+
 import json
 import os
 import signal

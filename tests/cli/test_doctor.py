@@ -65,7 +65,7 @@ def test_a_payload_in_grams_or_millimetres_is_named(payload, tmp_path, monkeypat
 
 
 def test_joints_without_position_limits_are_noted(tmp_path, monkeypatch):
-    """Each of the two remedies of the note ends it for the joint that gets it."""
+    """Each of the two remedies in the note ends the note for the joint that gets it."""
     from importlib.resources import files
 
     monkeypatch.setattr("pliant.config.doctor.CLOCK_TEST_TIME", 0.01)

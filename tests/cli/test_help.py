@@ -1,3 +1,5 @@
+"""Help texts of the command line."""
+
 import re
 import subprocess
 import sys

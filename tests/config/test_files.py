@@ -1,3 +1,5 @@
+"""Arm files: the files of the package, and mistakes in a user's file."""
+
 import re
 from contextlib import contextmanager
 from pathlib import Path

@@ -1,3 +1,5 @@
+"""Calibration files of LeRobot."""
+
 import json
 
 import pytest

@@ -133,7 +133,7 @@ def test_an_arm_with_a_blocked_path_to_rest_is_lowered_straight_down():
     assert table.touching
 
 
-# In brackets: smallest distance from the rest pose where the other joints turned back.
+# In brackets: smallest distance from the rest pose if the other joints turned back.
 @pytest.mark.parametrize(
     "q",
     [

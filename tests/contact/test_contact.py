@@ -176,7 +176,7 @@ def test_a_series_has_the_numbers_of_its_readings_one_by_one():
         sent = (q + rng.uniform(-0.05, 0.05, q.shape), rng.uniform(1.0, 8.0, q.shape))
         for reading, goal, limit in zip(q, *sent, strict=True):
             single.update(reading, sent=(goal, limit))
-        # A list of lists is converted in another way than an array.
+        # A list of lists is converted differently from an array.
         assert several.update_series(q if count > 1 else q.tolist(), sent=sent) == single.estimate
     with pytest.raises(pliant.ShapeError, match=r"Q has shape \(7,\), expected \(T, 7\)"):
         several.update_series(VERTICAL)

@@ -18,7 +18,7 @@ def search_path():
 
 @pytest.fixture
 def demo_command(tmp_path):
-    """Return a function that runs the demo in a new process, an empty folder, without a display."""
+    """Return a function that runs the demo in a new process and empty folder, without a display."""
     return runner(tmp_path, "experiments.demo", PYTHONPATH=search_path())
 
 

@@ -28,7 +28,7 @@ def so101():
 
 
 def arm7():
-    """Return what `so101` returns, for an arm with seven current-limited servos and six axes."""
+    """Return the setup of an arm with seven current-limited servos and six axes."""
     axes = {"y": pliant.Axis(soft=4.0, firm=15.0, soft_until=0.01, firm_from=0.1, adaptation=0.9)}
     return (
         pliant.robots.arm7(),

@@ -172,7 +172,7 @@ def test_invalid_arguments_of_hand_guiding_are_refused(arm, grasp):
 
 
 def test_a_joint_that_does_not_swing_does_not_oscillate_later():
-    """Its friction is not measured; a feed-forward above it let the shoulder swing by ±9 mm."""
+    """The joint's friction is unknown: feed-forward above it lets the shoulder swing by ±9 mm."""
     if not (ROBOTS / BESIDE["vx300s"][0]).exists():
         pytest.skip("no URDF of vx300s beside this checkout")
     arm = steps.arm("vx300s")

@@ -1,3 +1,5 @@
+"""Log files: content, replay, limits on memory and time, and command `log`."""
+
 import os
 import signal
 import subprocess

@@ -1,3 +1,5 @@
+"""Models and settings as text in a log, and back."""
+
 import numpy as np
 import pytest
 

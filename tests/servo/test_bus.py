@@ -308,7 +308,7 @@ def test_two_servos_of_a_joint_disagree_only_about_angles_that_were_read():
 
 @pytest.mark.parametrize("is_wrong", [False, True])
 def test_the_last_reading_of_a_silent_servo_is_not_compared(is_wrong):
-    """The joint moves on meanwhile: the descent of an arm reported servos that disagree."""
+    """The joint moves on while one servo is silent, so that its servos would disagree."""
     spec = ServoSpec(name="lift", model="XM540-W270", id=1, port="p", secondary=(2, 1))
     joint = [driver.Device(spec, 0, 1, 1), driver.Device(spec, 0, 2, 1)]
     zero, count = joint[0].units.zero, joint[0].units.count
@@ -546,7 +546,7 @@ def test_a_servo_that_is_silent_gets_no_goal_before_its_torque_is_known(
     chain.dead, chain.port._restart = {2}, math.inf
     assert goals_and_limits() == [[True] * 3] * 2
     chain.port._restart = 0.1
-    # A servo that may have restarted, and that a goal switches on, gets none until it was read.
+    # A servo that may have restarted, and that a goal switches on, gets no goal until it was read.
     gets_goals = chain.devices[1].family.protocol == "p2"
     assert goals_and_limits() == [[True, gets_goals, True], [True] * 3]
     chain.put(2, torque_enable=has_torque)
@@ -560,7 +560,7 @@ def test_a_servo_that_is_silent_gets_no_goal_before_its_torque_is_known(
 
 @pytest.mark.parametrize("model", ["STS3215", "RX-64"])
 def test_a_silent_servo_gets_a_goal_only_with_a_speed_cap_in_the_same_packet(fake_bus, model):
-    """It may have restarted: a goal then switches torque on, and the cap prevents a jump."""
+    """The servo may have restarted: a goal then switches torque on, and the cap prevents a jump."""
     chain = Chain(fake_bus, model, "p2")
     assert len(chain.devices[1].family.write) == 1
     chain.cycle()

@@ -14,7 +14,7 @@ CYCLES = 45
 METHODS = ("_read_each", "_write_each", "_poll_each", "_finish_read", "_finish_write")
 
 
-#: What happens before cycle 8, and 0.16 s later: a servo that restarts has lost its torque by then.
+#: Events before cycle 8, and 0.16 s later: a servo that restarts has lost its torque by then.
 EVENTS = {
     "nothing": (lambda bus: None, lambda bus: None),
     **{

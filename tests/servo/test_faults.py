@@ -50,7 +50,7 @@ def test_one_fault_costs_a_retry_and_no_sample(emulated, enabled, kind, fault):
 
 @pytest.mark.parametrize("rate", [20.0, 100.0])
 def test_a_servo_whose_replies_were_lost_is_read_again_within_a_time(emulated, enabled, rate):
-    """It was skipped for eight cycles, 0.4 s at 20 Hz: with its misses longer than a loop waits."""
+    """Eight skipped cycles (0.4 s at 20 Hz) after the misses would exceed the wait of a loop."""
     with emulated("xl430", 3, clock="steps", rate=rate) as (bus, servo_bus):
         enabled(servo_bus)
         for _ in range(5):
@@ -273,7 +273,7 @@ def test_an_overload_that_leaves_the_torque_on_is_no_fault(emulated, enabled, ki
 @pytest.mark.parametrize("trips", [(1, 2), (2, 1), (1,), (2,)])
 @pytest.mark.parametrize("kind", ["xm", "mx"])
 def test_overloads_of_both_servos_of_a_joint_are_no_fault(emulated, enabled, kind, trips):
-    """They share the load, so both report an overload before the cause of the first is read."""
+    """The servos share the load: both report an overload before the first cause is read."""
     with Emulator(devices(kind, 2), clock="steps") as bus:
         for id in (1, 2):
             bus.servo(id).put("shutdown", bus.servo(id).get("shutdown") & ~0x20)

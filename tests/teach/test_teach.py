@@ -1,3 +1,5 @@
+"""Teaching by hand and replay, with the simulator and from the command line."""
+
 import io
 import re
 from dataclasses import replace
@@ -357,7 +359,7 @@ def test_the_command_teaches_nothing_without_a_hand(tmp_path, capsys):
     assert main(flags) == 2
     captured = capsys.readouterr()
     assert "do not touch" in captured.out
-    # Also before the descent, which the user may leave by Ctrl-C.
+    # The message also comes before the descent, which the user may leave by Ctrl-C.
     assert "not taught: nothing moved" in captured.out
     assert "nothing moved" in captured.err
     assert not file.exists()

@@ -406,7 +406,7 @@ class PliantFollower(Robot):
 
 
 class _FollowerBehavior:
-    """Behavior of a follower: one step per tick toward `target`.
+    """Behaviour of a follower: one step per tick toward `target`.
 
     Args:
         arm: The arm, enabled.

@@ -272,7 +272,7 @@ class ArmIO(ArmCycle):
         self.held: tuple[float, Array] | None = None
         # True from the end of torque on until the warning of a sagging supply.
         self._watches_supply = False
-        # Tripped protections of servos since torque on that the user was told of.
+        # Protections that have tripped since torque on and were reported to the user.
         self._told_protections: set[str] = set()
         # Last status by joint name.
         self._statuses: dict[str, ServoStatus] = {}

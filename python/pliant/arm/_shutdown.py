@@ -81,8 +81,8 @@ class ExitMessages:
         self._level = planned if cause is None else logging.WARNING
         self._detail = logging.INFO if is_real else logging.DEBUG
         self._start_time, self._last_progress = io.clock.now(), time.monotonic()
-        # Height at which a loop with an error held the arm, if nothing was sent since; else at the
-        # first progress. Between the two, an arm whose servos restart falls.
+        # Height at which a failed loop held the arm, if nothing was sent since; else that at the
+        # first progress message. In between, an arm whose servos restart falls.
         self._start_height: float | None = None
         if io.held is not None and io.last_write <= io.held[0]:
             self._start_height = self._height_at(io.held[1])
@@ -327,15 +327,15 @@ STIFFER, SOFTER = 2.5, 2.0
 CREEP_SPEED = 0.01
 #: Silence of the bus after which a descent ends with an error [s].
 MAX_SILENCE = 2.0
-#: Longest time without a write before the end of a descent, after which torque stays on [s]; the
-#: servos then have the last torque limits but one.
+#: Longest time since the last write at which a descent may end with torque off [s]. After a longer
+#: one torque stays on, because the servos lack the last torque limits.
 MAX_UNSENT = 0.2
 #: Largest number of times that a descent is restarted because servos rejected its goals; it is not
 #: restarted while a joint is silent.
 MAX_RESTARTS = 2
 #: Time for which an arm at rest waits for joints whose torque is unknown, before torque off [s].
 UNKNOWN_TIME = 20.0
-#: Distance of a joint from the rest pose from which on the pose counts as missed [rad].
+#: Distance of a joint from the rest pose above which the pose counts as missed [rad].
 MISSED_POSE = 0.05
 
 
@@ -411,7 +411,7 @@ def descend(
             continue
         gap = now - max(io.last_write, begin)
         if unsent is not None and gap > (MAX_SILENCE if order is not None else MAX_UNSENT):
-            # The servos do not have these goals and limits: with torque off, the arm would fall.
+            # The servos lack these goals and limits: if torque went off now, the arm would fall.
             _end(unsent)
         if order is None and not io.is_refused():
             return True

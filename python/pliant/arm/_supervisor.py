@@ -33,7 +33,7 @@ def _not_forked() -> bytes | memoryview[int]:
     """Return memory whose byte 0 is true only in the process that has imported this module.
 
     Unlike `os.getpid`, reading it needs no system call. It is also right if C code has forked. On
-    other systems than Linux it is always 0.
+    systems other than Linux it is always 0.
     """
     if sys.platform != "linux":
         return bytes(1)

@@ -540,8 +540,8 @@ class Arm:
     def _reachable(self, rest: Array | None) -> Array | None:
         """Return `rest` if the path to it is safe; else set `detour`, and return None.
 
-        It is if it is clear of the table, and torque held all joints when it came on: otherwise a
-        sign or zero may be wrong, and the real arm would take another path.
+        The path is safe if it is clear of the table, and torque held all joints when it came on:
+        otherwise a sign or zero may be wrong, and the real arm would take another path.
         """
         self.detour = None
         if rest is None:

@@ -135,8 +135,8 @@ READ_PAUSE = 0.001
 MANY_TARGETS = 50_000
 #: Maximum number of datagrams read per control cycle.
 MAX_DATAGRAMS = 256
-#: Maximum number of lines or datagrams checked per control cycle, the newest; a check takes up to
-#: 0.3 ms, usually 0.02 ms.
+#: Maximum number of lines or datagrams checked per control cycle, namely the newest; a check takes
+#: up to 0.3 ms, usually 0.02 ms.
 MAX_CHECKED = 32
 
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
 
 
-#: Remedy for a key of the file that stands in one of its tables.
+#: Remedy for a top-level key that stands in a table of the file.
 AT_THE_TOP = "{} belongs at the top of the file, before its first table"
 
 

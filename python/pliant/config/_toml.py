@@ -7,7 +7,7 @@ import re
 
 
 def toml_key(name: str) -> str:
-    """Return a name as a TOML key: in quotes if it has other characters than A-Z a-z 0-9 _ -."""
+    """Return a name as a TOML key: in quotes if it has characters other than A-Z a-z 0-9 _ -."""
     return name if re.fullmatch(r"[\w-]+", name, re.ASCII) else toml_string(name)
 
 

@@ -76,7 +76,7 @@ class JointHand:
         """Apply the hand's torques, which also hold the weight, to the joints for one step."""
         model, data = plant.mj_model, plant.mj_data
         begin, end = (0.0, math.inf) if self.interval is None else self.interval
-        # An arm that is held until its torque comes on has no time before.
+        # The time of an arm that is held until its torque comes on starts only then.
         if not begin <= data.time < end:
             return
         time = data.time - begin

@@ -24,8 +24,9 @@ if TYPE_CHECKING:
 CANDIDATES = 200
 #: Largest gravity torque of a servo in a candidate pose, as a share of its maximum torque [1].
 MAX_HOLDING_SHARE = 0.6
-#: Range of the argument `span` [rad]. Poses that are nearer than the swings about them tell nothing
-#: more; on the straight way between farther ones, the tool can sink far below the poses.
+#: Range of the argument `span` [rad]. Poses that are closer together than the swings about them add
+#: no information; on the straight way between poses that are farther apart, the tool can sink far
+#: below both.
 SPAN_RANGE = (0.05, 0.5)
 #: Range of the argument `amplitude` [rad].
 AMPLITUDE_RANGE = (0.01, 0.5)

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     #: Result of `ServoCodec.sent`.
     Sent = tuple[int | None, int, int, bytes]
 
-#: Difference between the temperature limit of a servo and the temperature from which on its torque
-#: is not switched on [°C].
+#: Difference between the temperature limit of a servo and the temperature above which its torque is
+#: not switched on [°C].
 HEAT_MARGIN = 2.0
 #: Lowest plausible temperature limit of a servo [°C].
 MIN_TEMPERATURE_LIMIT = 50.0

@@ -42,7 +42,8 @@ MAX_MISSES, PROBE_TIME, PROBE_CYCLES = 3, 0.08, 8
 #: After a time without readings, a servo may have restarted with torque off. The time is the longer
 #: of `RESTART` [s] and `RESTART_CYCLES` control periods.
 RESTART, RESTART_CYCLES = 0.1, 3.0
-#: Largest speed cap [rad/s] with which such a servo may get goals; the fastest joint of a descent.
+#: Largest speed cap [rad/s] with which a servo that may have restarted gets goals: that of the
+#: fastest joint in a descent.
 RESTART_SPEED = 1.0
 #: Largest share of a control period that reading the status registers of all servos may take, by
 #: a request for their torque state or by longer readings.

@@ -232,7 +232,3 @@ class HandoverObject(GraspedObject):
         self.peak_effort = max(self.peak_effort, norm)
         lift = self._weight if self.released is not None else np.zeros(3)
         plant.pull(self._body, force + lift, np.zeros(3), position.copy())
-
-    def place_of(self, plant: Plant) -> np.ndarray:
-        """Return the position of the ball (3,) in the base frame [m]."""
-        return np.array(plant.mj_data.xpos[self._body])

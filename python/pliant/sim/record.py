@@ -42,7 +42,7 @@ class Recorder:
         """Add a row with the plant's true state and the given signals.
 
         Raises:
-            ShapeError: A row has other signals than the first row, or a signal changes its shape.
+            ShapeError: The signals of a row or their shapes differ from those of the first row.
         """
         plant = self._plant
         row: dict[str, ArrayLike] = {

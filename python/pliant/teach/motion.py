@@ -150,8 +150,8 @@ class Motion:
         """Check that an arm can execute the motion.
 
         Raises:
-            ConfigError: The joints differ, positions exceed the limits, or the tool would start at
-                another position than in the recording.
+            ConfigError: The joints differ, positions exceed the limits, or the tool would not start
+                where it did in the recording.
         """
         self._check_joints(model)
         excess = np.maximum(self.q - model.upper, model.lower - self.q).max(axis=0)

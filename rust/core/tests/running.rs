@@ -205,7 +205,7 @@ fn an_axis_that_becomes_firmer_restarts_its_reference_where_its_force_is_unchang
     };
     let (_, [_, deviation]) = after_update(paper(1e-4), paper(1.0), 0.15);
     assert!(deviation.abs() < 5e-3, "{deviation}");
-    // The strengths of law `paper` compare with no force: all axes restart at the tool.
+    // The strengths of law `paper` cannot be compared with forces: all axes restart at the tool.
     let (_, [_, deviation]) = after_update(capped(Law::Cap, 20.0), paper(1.0), 0.15);
     assert!(deviation.abs() < 2e-4, "{deviation}");
 }

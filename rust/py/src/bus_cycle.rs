@@ -28,7 +28,7 @@ pub(crate) struct BusCycle {
     polling: Option<Polling>,
 }
 
-/// How to read all servos.
+/// Request that reads all servos.
 #[cfg(unix)]
 #[derive(Debug)]
 struct Reading {
@@ -37,7 +37,7 @@ struct Reading {
     group: Py<ServoGroup>,
     /// Numbers of missed readings of silent servos.
     misses: Py<PyDict>,
-    /// Registers without and with those of the status; address and size.
+    /// Address and size of the registers that are read, without and with those of the status.
     blocks: [[usize; 2]; 2],
     /// Timeouts of the two blocks [s].
     timeouts: [f64; 2],
@@ -49,7 +49,7 @@ struct Reading {
     budget: f64,
 }
 
-/// How to write to all servos.
+/// Packets that write to all servos.
 #[cfg(unix)]
 #[derive(Debug)]
 struct Writing {

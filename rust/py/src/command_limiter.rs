@@ -1,4 +1,4 @@
-//! Python class `CommandLimiter`: limits of goals and torque limits before they are sent.
+//! Python class `CommandLimiter`: limits goals and torque limits before they are sent.
 
 use pliant_core::arm::LimiterInput;
 use pliant_core::{CommandLimiter as CoreLimiter, MAX_JOINTS};

@@ -80,7 +80,7 @@ pub(super) fn joint_issues(
 /// of the stop then adds to that of the axis.
 pub(super) fn stop_issues(controller: &Controller, r: usize, near: [PathStop; 2], out: &mut Vec<Issue>) {
     if !controller.params.law.by_force() {
-        return; // The strengths of law `paper` are torque budgets, which do not compare with the force of a stop.
+        return; // The strengths of law `paper` are torque budgets, which cannot be compared with the force of a stop.
     }
     let axis = controller.params.per_axis[r].axis;
     let name = AXIS_NAMES[axis];
@@ -158,7 +158,7 @@ pub(super) fn axis_issues(
     out: &mut Vec<Issue>,
 ) {
     if !controller.params.law.by_force() {
-        return; // The strengths of law `paper` are torque budgets, not forces to compare with.
+        return; // The strengths of law `paper` are torque budgets, which cannot be compared with forces.
     }
     let row = &controller.params.per_axis[r];
     let (name, user, unit) = (AXIS_NAMES[row.axis], &controller.settings().axes[row.axis], unit(row.axis));

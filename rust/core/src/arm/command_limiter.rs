@@ -154,8 +154,8 @@ impl CommandLimiter {
     /// Returns the goal [rad] and the torque limit [N·m] to send to each of the N joints.
     ///
     /// # Errors
-    /// [`Error::Shape`] if a slice has another length than documented; [`Error::OutOfRange`] if a goal, torque limit or
-    /// gravity torque of the chain is not finite, a torque limit negative, or a goal [unreachable](Self::unreachable).
+    /// [`Error::Shape`] if a slice has a wrong length; [`Error::OutOfRange`] if a goal, torque limit or gravity torque
+    /// of the chain is not finite, a torque limit negative, or a goal [unreachable](Self::unreachable).
     pub fn limit(&mut self, thermal: &ThermalModel, input: &LimiterInput<'_>) -> Result<(&[f64], &[f64])> {
         let (n, size) = (self.n(), self.size());
         for (name, got, expected) in [

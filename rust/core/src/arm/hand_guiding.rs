@@ -13,8 +13,9 @@
 //!
 //! The interval from c_low to c_high contains the compliance 1/k_p. The play w grows by the possible error of the lead,
 //! so a wrong k_p can let the arm sag within the play but cannot make it drift. When the arm rests after a motion, its
-//! lead is known within ρ + w₀, unless a hand holds it. Two rests narrow the interval to what explains either; w_e keeps
-//! the play as it was, and fades with the next motion.
+//! lead is known within ρ + w₀, unless a hand holds it. Two rests narrow the interval to the values that explain either
+//! of them. The goals must not move at rest, so w_e first makes up for the smaller play, and fades with the next
+//! motion.
 
 use std::sync::Arc;
 
@@ -155,11 +156,11 @@ pub struct HandGuiding {
     rest_q: JointVec,
     /// Positions at which the arm was last at rest after a motion [rad].
     learnt_q: JointVec,
-    /// Interval of 1/k_p that explains this rest [rad/(N·m)].
+    /// Interval of 1/k_p that explains the last rest after a motion [rad/(N·m)].
     learnt: [[f64; 2]; MAX_JOINTS],
     /// Time since the last motion [s].
     rest_time: f64,
-    /// True if the arm has moved far enough since that correction for a further one.
+    /// True if the arm has moved far enough since that rest to learn from the next one.
     has_moved: bool,
 }
 
@@ -310,8 +311,8 @@ impl HandGuiding {
         if moved > MAX_TOOL_SPEED * dt { MAX_TOOL_SPEED * dt / moved } else { 1.0 }
     }
 
-    /// Narrows the interval of 1/k_p once the arm rests after a motion, to what explains this rest or the one before:
-    /// at one of them a hand may have held the arm. The goals do not move.
+    /// Narrows the interval of 1/k_p once the arm rests after a motion, to the values that explain this rest or the one
+    /// before: at one of them a hand may have held the arm. The goals do not move.
     fn learn_at_rest(&mut self, q: &JointVec, dt: f64) {
         let has_moved_by =
             |from: &JointVec, least: &dyn Fn(usize) -> f64| (0..self.n).any(|i| (q[i] - from[i]).abs() > least(i));

@@ -43,17 +43,18 @@ const MAX_JOINT_SPEED: f64 = 0.8;
 const MIN_SPEED_LIMIT: f64 = 0.01;
 /// Ratio of goal speed to the joint's distance from the rest pose [1/s].
 const REST_RATE: f64 = 4.0;
-/// Angle by which a joint may be ahead of the one that has the largest share of its way to the rest pose left [rad].
-/// Its goal slows down until then, stops there, and moves back beyond, but not above the least such share so far.
+/// Angle by which a joint may be ahead of the slowest one, which has the largest share of its way to the rest pose left
+/// [rad]. The goal of a joint slows down on the way to this angle, stops there, and moves back beyond twice this angle.
 const MAX_AHEAD: f64 = 0.03;
-/// Least way to the rest pose with which the share that a joint has left of it is computed [rad], or the longest way of a
-/// joint if that is less. With less, a joint that its load pulls off its rest position would make the others turn back.
+/// Lower bound on the way to the rest pose by which the distance left is divided to get its share [rad], or the longest
+/// way of all joints if that is less. With a shorter way, a joint that its load pulls off its rest position would make
+/// the others turn back.
 const MIN_WAY: f64 = 0.2;
 /// Time in which a joint that stands still on the way to the rest pose doubles its push [s].
 const PUSH_GROWTH_TIME: f64 = 0.5;
-/// Ratio of goal speed to the excess of the lead when descending without a rest pose [1/s].
+/// Ratio of goal speed to the excess lead (see `excess_lead`) when descending without a rest pose [1/s].
 const DOWN_RATE: f64 = 40.0;
-/// Largest share of the excess of the lead that a goal moves in one tick. Above 1, the goals of an arm on a slow line
+/// Largest share of the excess lead by which a goal moves in one tick. Above 1, the goals of an arm on a slow line
 /// would oscillate.
 const MAX_GAIN: f64 = 0.8;
 /// Time in which the goals' speed rises from zero at the start of a phase [s].
@@ -95,8 +96,8 @@ const SINKING: f64 = 0.004;
 /// Largest increase of the torque limit of a sinking joint, as a multiple of the torque by which its servo resists the
 /// increase of its lead.
 const SINKING_GAIN: f64 = 4.0;
-/// Speed from which on a sinking joint has the multiple [`SINKING_GAIN`] [rad/s]. The multiple of a slower joint is
-/// less, down to 1 at rest: more torque would throw the joint if its lead is larger than its load needs.
+/// Speed above which a sinking joint has the multiple [`SINKING_GAIN`] [rad/s]. The multiple of a slower joint is less,
+/// down to 1 at rest: more torque would throw the joint if its lead is larger than its load needs.
 const FALLING_SPEED: f64 = 0.2;
 /// Excess of the lead below which a joint counts as unloaded [rad]; 1.5 encoder counts if that is more.
 const ZERO_LEAD: f64 = 0.003;
@@ -113,11 +114,11 @@ const SLIDING: f64 = 0.04;
 const FALLING: f64 = 0.06;
 /// Time in which the torque limits fall to zero if all joints have positions [s].
 const RAMP_TIME: f64 = 0.6;
-/// Factors by which the true stiffness of a servo may be larger or smaller than the assumed one, where the lead of a
-/// joint is larger than its torque limit allows.
+/// Factors by which a servo may be stiffer or softer than assumed, for joints whose lead is larger than their torque
+/// limit allows.
 const STIFFER: f64 = 2.5;
 const SOFTER: f64 = 2.0;
-/// Speed at which such a lead shrinks when the joint may begin to sink [rad/s], and longest time that it may take [s].
+/// Speed at which a lead beyond the torque limit shrinks once its joint may sink [rad/s], and the longest time [s].
 const SHRINK_SPEED: f64 = 0.15;
 const SHRINK_TIME: f64 = 3.0;
 /// Share of the torque limits that remains while the arm moves.
@@ -258,7 +259,7 @@ pub struct Lowering {
     rest_start: JointVec,
     phase: LoweringPhase,
     blind: bool,
-    /// True for a joint that has had no position since its goals were last computed without positions.
+    /// True for a joint that has sent no position since its goals were last computed without positions.
     behind: [bool; MAX_JOINTS],
     /// True for a joint without positions that descends by the model after the others have come to rest.
     modelled: [bool; MAX_JOINTS],
@@ -272,13 +273,13 @@ pub struct Lowering {
     lead: JointVec,
     /// |lead| at the last update of the limits [rad].
     lead_size: JointVec,
-    /// Smallest recent |lead| [rad]; it rises with |lead|, of which it is at most two [`SINKING`] short.
+    /// Smallest recent |lead| [rad], but at least |lead| − 2 [`SINKING`].
     least_lead: JointVec,
     /// Last measured minus modelled lead [rad]; added to the modelled lead while no positions arrive.
     unmodelled_lead: JointVec,
-    /// Filtered lead with which a joint last moved freely toward the rest pose [rad]; its push is the lead beyond.
+    /// Filtered lead with which a joint last moved freely toward the rest pose [rad]; the lead beyond it is its push.
     free_lead: JointVec,
-    /// Increase of that push for a joint that stands still on the way to the rest pose [rad].
+    /// Increase of the largest push for a joint that stands still on the way to the rest pose [rad].
     extra_push: JointVec,
     /// Position at the start of this phase of each joint whose servo is saturated, k_p |lead| above the torque limit
     /// [rad]; `None` for the other joints, and once the joint sinks or its lead is within the limit.
@@ -291,9 +292,9 @@ pub struct Lowering {
     phase_time: f64,
     /// Time since the start of the descent [s].
     time: f64,
-    /// Time [s] and positions [rad] from which on no point has moved by [`STOPPED_DISTANCE`].
+    /// Time [s] and positions [rad] since which no point has moved by [`STOPPED_DISTANCE`].
     compared: (f64, JointVec),
-    /// True if that was for [`STOPPED_TIME`].
+    /// True if no point has moved by [`STOPPED_DISTANCE`] for [`STOPPED_TIME`].
     has_stopped: bool,
     /// Time since the last tick in which goals or limits were updated, at most [`MAX_TICK`] [s].
     waited: f64,
@@ -622,7 +623,8 @@ impl Lowering {
     /// Returns lead − ℓ* [rad], with ℓ* the lead of a joint that presses lightly downward; ℓ* = 0 without press.
     fn excess_lead(&self, here: &ArmGeometry, gravity: &JointVec) -> JointVec {
         let (lever, speed) = (here.lowest_lever(&self.up), self.joint_velocities());
-        // If the servo of a joint without positions gets no goals either, the weight of the others is not the model's.
+        // A servo that sends no positions may receive no goals either; the weight on the other joints then differs from
+        // the model's.
         let only_modelled = self.modelled.contains(&true);
         std::array::from_fn(|i| {
             let mut press = 0.0;
@@ -686,7 +688,7 @@ impl Lowering {
                 // Friction carries a part of the weight of a joint that begins to sink.
                 let friction = if sunk { sign(gravity[i]) * self.friction[i] / self.kp[i] } else { 0.0 };
                 self.free_lead[i] = lead + friction;
-                // The torque is below its limit, so that the limit may rise to that of a joint that moves.
+                // The torque is below the limit now, so `update_limit` may raise the limit as for a joint that moves.
                 self.holding_torque[i] = self.torque_limit[i];
                 continue;
             }
@@ -719,7 +721,7 @@ impl Lowering {
                 self.extra_push[i] = (self.extra_push[i] + margin * dt / PUSH_GROWTH_TIME).min(margin);
             }
             let push = margin + self.extra_push[i];
-            // The load of a joint at its torque limit may end suddenly: it must not jump far then.
+            // If the load of a joint at its torque limit ends suddenly, the joint must not jump far.
             let largest = SOFTER * self.max_torque[i] / self.kp[i];
             let lead = lead.max(self.free_lead[i] - push).min(self.free_lead[i] + push);
             self.goal[i] = self.q[i] + clip(lead, largest);
@@ -743,7 +745,7 @@ impl Lowering {
                 rise[i] = 0.0;
             }
         }
-        // The depth of the tool in the model may be one that an object keeps it from.
+        // The model may place the tool lower than an object lets it go.
         let is_measured = !self.blind && !self.modelled.contains(&true);
         let depth = if is_measured { self.start_height - here.tool_height(&self.up) } else { 0.0 };
         let max_climb = (RISE_RATE * depth).max(0.0);

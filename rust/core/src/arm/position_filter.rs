@@ -25,7 +25,7 @@ pub struct PositionFilter {
     accepted: Vec<bool>,
     /// Times of the last readings [s], accepted or not.
     last: Vec<f64>,
-    /// Δt of each joint up to the last reading [s].
+    /// Δt of each joint (see [`PositionFilter`]) at its last reading [s].
     elapsed: Vec<f64>,
     rejected: Vec<u32>,
     jump: Vec<f64>,

@@ -123,7 +123,7 @@ pub struct SentCommand {
     pub limit: i64,
     /// Number of commands so far.
     pub count: u32,
-    /// First packet, and its size; 0: unknown.
+    /// First packet and its size [bytes]; size 0: unknown.
     packet: ([u8; MAX_PACKET], usize),
 }
 
@@ -142,7 +142,7 @@ struct Servo {
     reading: ServoReading,
     sent: SentCommand,
     has_status: bool,
-    /// Δt of the next reading, see [`ServoCodec`] [s]; infinite: accept any position.
+    /// Δt at the next reading [s], see [`ServoCodec`]; ∞: accept any position.
     allowed: f64,
     /// Time of the last reading, accepted or not [s].
     last: f64,
@@ -241,8 +241,9 @@ impl Servo {
 pub enum Decoded {
     /// The reading is stored and needs no attention.
     Usual,
-    /// The reading is stored and needs attention: status byte or turns are or were not 0, the voltage is too low,
-    /// voltage or temperature has changed, or it is the first reading or follows [`ServoCodec::accept_any`].
+    /// The reading is stored and needs attention: the status byte or the turns are not 0 or were not 0 before, the
+    /// voltage is too low, voltage or temperature has changed, or it is the first reading or follows
+    /// [`ServoCodec::accept_any`].
     Notable,
     /// The position is implausible, and the reading is not stored.
     Implausible,

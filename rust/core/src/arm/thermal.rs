@@ -107,7 +107,7 @@ impl ThermalModel {
     /// A NaN torque counts as the usable torque; a NaN or negative time counts as 0.
     pub fn update(&mut self, torque: &[f64], dt: f64) {
         let gain = if dt > 0.0 { -(-dt / self.options.time_constant).exp_m1() } else { 0.0 };
-        // An infinite time and time constant have no quotient.
+        // NaN if both the time and the time constant are infinite.
         let gain = if gain.is_nan() { 0.0 } else { gain };
         for ((heat, torque), max_torque) in self.heat.iter_mut().zip(torque).zip(&self.max_torque) {
             let ratio = torque / (max_torque * self.options.continuous);

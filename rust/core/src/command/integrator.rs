@@ -27,7 +27,7 @@ pub(crate) struct Integrator<'a> {
 
 impl Integrator<'_> {
     /// Adds `share` of the lead of this step to `stored` [rad], then removes the part that acts on soft axes. Under the
-    /// laws `cap` and `impedance`, also removes what exerts more than `hold` on stiff axes.
+    /// laws `cap` and `impedance`, also removes the part that exerts more than `hold` on stiff axes.
     pub(crate) fn update(&self, stored: &mut JointVec, params: &Params) {
         let (k, n, servos) = (params.k, params.n, &params.servos);
         for i in 0..n {

@@ -17,7 +17,7 @@ pub struct Diagnostics {
     pub q: JointVec,
     /// Joint velocity v, filtered or given [rad/s].
     pub velocity: JointVec,
-    /// Deviation e of the tool from the reference along the task axes, with a twist after the delay [m, rad].
+    /// Deviation e of the tool from the reference along the task axes [m, rad]; with a twist, when the goal arrives.
     pub deviation: AxisVec,
     /// Deviation ẽ from the adapted target along the task axes, `(1 − η w) e` [m, rad].
     pub adapted_deviation: AxisVec,

@@ -28,13 +28,13 @@ pub(super) struct Rules<'a> {
     pub(super) settings: &'a Settings,
 }
 
-/// Force of each task axis at rest by its deviation, with the other axes left out [N, N·m]; under law `paper` the sum
-/// of the joint torques that exert it [N·m].
+/// Force of each task axis at rest as a function of its own deviation only [N, N·m]; under law `paper` the sum of the
+/// joint torques that exert it [N·m].
 struct AxisForces<'a> {
     rules: Rules<'a>,
     /// Task axes as columns, in the base.
     base_from_task: Mat3,
-    /// Force per step of each row [N/m, N·m/rad]; under law `paper` torque per step.
+    /// Force per step `h K_x ẽ` of each row [N/m, N·m/rad]; under law `paper` torque per step.
     stiffness: AxisVec,
 }
 
@@ -54,7 +54,7 @@ impl<'a> AxisForces<'a> {
         Self { rules, base_from_task, stiffness }
     }
 
-    /// Returns the entries of the task rows of a 6-vector in base axes.
+    /// Returns the components of a 6-vector in base axes along the axes of the task rows.
     fn rows_of(&self, v: &AxisVec) -> AxisVec {
         let turned = base_to_task::<BaselineF64>(&self.base_from_task, v);
         self.rules.params.select_rows::<BaselineF64x8>(&turned).to_axes()
@@ -104,8 +104,8 @@ impl<'a> AxisForces<'a> {
 }
 
 /// Moves the reference of `governor` toward the tool along each axis that would otherwise exert more force under the
-/// settings `to` than it does under `from`, to the deviation at which the force stays the same: the present pose for
-/// an axis that exerted none. From there it approaches the target at a bounded speed.
+/// settings `to` than it does under `from`, to the deviation at which the force stays the same: to the tool if the axis
+/// exerted no force. From there it approaches the target at a bounded speed.
 ///
 /// Under the laws `cap` and `impedance` a small deviation exerts the same force under settings that differ little, so
 /// settings that change at every step do not let the arm sink.
@@ -119,7 +119,7 @@ pub(super) fn restart_reference(
     let (from, to) = (AxisForces::new(from, &tool, &j_base), AxisForces::new(to, &tool, &j_base));
     let error = pose_error(&tool, &governor.pose());
     let deviation = to.rows_of(&error);
-    // The strengths of law `paper` are torques, which compare with no force.
+    // The strengths of law `paper` are torques, which cannot be compared with forces.
     let is_comparable = matches!(from.rules.params.law, Law::Paper) == matches!(to.rules.params.law, Law::Paper);
     let before = if is_comparable { to.rows_of(&from.wrench(&from.rows_of(&error))) } else { [0.0; MAX_AXES] };
     let max = std::array::from_fn(|r| before[r] * deviation[r].signum());

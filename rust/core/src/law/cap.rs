@@ -12,7 +12,7 @@ use crate::params::Follow;
 pub(crate) struct CapProblem<'a, W: F64x8> {
     /// `C = J K_p⁻¹ Jᵀ` [m/N, rad/(N·m)]: compliance of the task axes that results from the servos' stiffness.
     pub(crate) compliance: &'a Mat6,
-    /// `λ²/k̄` of each row, in the units of `C`, with the servos' mean stiffness k̄.
+    /// Damping `λ²/k̄` of each row, in the units of `C`, with the servos' mean stiffness k̄.
     pub(crate) damping: W,
     /// Step `s = h K_x ẽ` [m, rad], within the step limits of soft axes.
     pub(crate) step: W,
@@ -60,7 +60,7 @@ impl<W: F64x8> CapProblem<'_, W> {
         root * W::from_axes(&factor.solve::<W::Elem>(&(root * self.bounded_step).to_axes()))
     }
 
-    /// Returns `(C + λ²/k̄)⁻¹ s` over all rows, with the steps of soft rows clamped to ±F C_jj.
+    /// Returns the wrench `(C + λ²/k̄)⁻¹ s` over all rows, with the steps of soft rows clamped to ±F C_jj.
     #[inline(always)]
     fn all_rows(&self) -> Wrench<W> {
         let (w, stiff) = (self.softness, W::splat(1.0) - self.softness);

@@ -55,7 +55,7 @@ impl WrenchLaw for Impedance {
 }
 
 impl ControlLaw for Impedance {
-    /// Returns `f K ẽ`.
+    /// Returns the spring force `f K ẽ` of an axis [N, N·m].
     fn force_at(push: &AxisPush<'_>) -> f64 {
         push.gain_factor * push.params.per_axis[push.row].stiffness[push.side] * push.share * push.deviation
     }

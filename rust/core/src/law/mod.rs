@@ -40,7 +40,7 @@ pub(crate) struct LawInput<'a, J: JointVector> {
     /// `rows` with translations divided by the arm's length scale, so that singular values have no unit.
     pub(crate) scaled_rows: &'a [J; MAX_AXES],
     pub(crate) singularity: &'a SingularityState,
-    /// λ² of each task row, in the units of that row.
+    /// Squared damping λ² of each task row, in the units of that row.
     pub(crate) damping: J::Axes,
     /// Velocity and acceleration terms of the reference.
     pub(crate) pacing: Pacing<J::Axes>,
@@ -66,7 +66,7 @@ pub(crate) struct Pacing<W> {
     pub(crate) displacement: W,
     /// Velocity of the reference [m/s, rad/s].
     pub(crate) velocity: W,
-    /// Factors on the forces that would accelerate a tool that is too fast; `None`: it is not.
+    /// Factors on the forces that would accelerate a tool that is too fast; `None` if the tool is slow enough.
     pub(crate) overspeed: Option<Overspeed<W>>,
 }
 
@@ -169,10 +169,11 @@ pub(crate) fn solve<J: JointVector>(input: &LawInput<'_, J>) -> (LawOutput<J>, O
         let (output, budget) = paper::solve(input);
         return (output, Some(budget));
     }
-    // What the laws that compute a wrench have in common is large, and compiled for each instruction set: only once.
+    // One call for all laws that compute a wrench: the code is large, and compiled for each instruction set.
     let compliance = weighted_gram(input.rows, J::load(&input.params.servos.compliance));
     let demand = match law {
         Law::Impedance => impedance::Impedance::wrench(input, &compliance),
+        // Law `paper` has returned above; this arm includes it only because a match must be exhaustive.
         Law::Cap | Law::Paper => cap::Cap::wrench(input, &compliance),
     };
     (input.joint_offsets(&demand), None)
@@ -201,7 +202,7 @@ pub(crate) struct AxisPush<'a> {
     pub(crate) side: usize,
     /// Jacobian row of the axis.
     pub(crate) j_row: &'a JointVec,
-    /// λ²/k̄ of the row, with the servos' mean stiffness k̄.
+    /// Damping of the row, `λ²/k̄`, with the servos' mean stiffness k̄.
     pub(crate) damping: f64,
     /// Factor ≤ 1 on the stiffness at the last step.
     pub(crate) gain_factor: f64,

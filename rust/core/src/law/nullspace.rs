@@ -30,7 +30,8 @@ pub(crate) struct NullSpace<'a, J: JointVector> {
     joints: usize,
 }
 
-/// Returns μ² of the exact null-space projector, from the smallest and the largest singular value of the rows.
+/// Returns the squared damping μ² of the exact null-space projector, from the smallest and the largest singular value
+/// of the rows.
 #[inline(always)]
 pub(crate) fn projector_damping_sq(smallest: f64, largest: f64) -> f64 {
     let mu_1 = 1e-3 * largest;
@@ -60,7 +61,7 @@ impl<'a, J: JointVector> NullSpace<'a, J> {
         Self { rows, weight, factor: *factor, task, joints }
     }
 
-    /// Returns `N v`; zero with more task rows than joints.
+    /// Returns the null-space part `N v` of v; zero with more task rows than joints.
     #[inline(always)]
     pub(crate) fn project(&self, v: J) -> J {
         if self.task > self.joints {
@@ -70,7 +71,7 @@ impl<'a, J: JointVector> NullSpace<'a, J> {
         J::fnma(self.weight, tr_mul(self.rows, &along), v)
     }
 
-    /// Returns `N v = v − J⁺J v` with the given pseudo-inverse, which saves a solve; zero with more task rows than
+    /// Returns the null-space part `N v = v − J⁺J v` of v, from a given pseudo-inverse; zero with more task rows than
     /// joints.
     #[inline(always)]
     pub(crate) fn project_by(&self, pinv_transposed: &[J; MAX_AXES], v: J) -> J {

@@ -126,7 +126,7 @@ fn within_limits<J: JointVector>(
     (motion, budget)
 }
 
-/// Returns `K_q v`.
+/// Returns `K_q v`, with the joint gain K_q of equation (5).
 #[inline(always)]
 fn gained<J: JointVector>(input: &LawInput<'_, J>, v: J) -> J {
     let params = input.params;

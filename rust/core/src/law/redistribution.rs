@@ -1,4 +1,4 @@
-//! Redistribution, to the other joints, of the motion that joints at their position limits cannot make.
+//! Redistribution of the motion that joints at their position limits cannot make to the other joints.
 //!
 //! The law solves the task with all joints. The motion that position limits cut off is solved again without the joints
 //! at their limits. A joint that just reaches its limit loses no motion, so the command is continuous there.

@@ -19,14 +19,14 @@ const TRACKING_ITERATIONS: usize = 1;
 /// Damping and fade that follow from the singular values of a step's task rows.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct SingularityState {
-    /// λ² for rows scaled to the arm's length; times `damping_scale` it has the unit of a row.
+    /// Squared damping λ² for rows scaled to the arm's length; times `damping_scale` it has the unit of a row.
     pub(crate) damping: f64,
-    /// μ² of the exact null-space projector.
+    /// Squared damping μ² of the exact null-space projector.
     pub(crate) mu_squared: f64,
     /// LDLᵀ factor of `JJᵀ` with the scaled rows J; `None` if the settings need no singular values, or with more axes
     /// than joints.
     pub(crate) factor: Option<Ldlt6>,
-    /// γ, the factor on feed-forward and prediction.
+    /// Factor γ on feed-forward and prediction.
     pub(crate) gamma: f64,
 }
 
@@ -41,7 +41,7 @@ pub(crate) fn singularity_fade(sigma: f64, sigma_0: f64) -> f64 {
     1.0
 }
 
-/// Returns λ² for the smallest singular value σ: `λ₀² + (1 − (σ/σ₀)²) λ_max²` below σ₀, else λ₀².
+/// Returns the squared damping λ² for the smallest singular value σ: `λ₀² + (1 − (σ/σ₀)²) λ_max²` below σ₀, else λ₀².
 #[inline(always)]
 pub(crate) fn damping_squared(sigma: f64, lambda_0: f64, sigma_0: f64, lambda_max: f64) -> f64 {
     let mut squared = lambda_0 * lambda_0;
@@ -53,7 +53,7 @@ pub(crate) fn damping_squared(sigma: f64, lambda_0: f64, sigma_0: f64, lambda_ma
     squared
 }
 
-/// Returns λ² of each task row, in the units of that row.
+/// Returns the squared damping λ² of each task row, in the units of that row.
 #[inline(always)]
 pub(crate) fn row_damping<J: JointVector>(params: &Params, singularity: &SingularityState) -> J::Axes {
     J::Axes::from_array(&params.axis_simd.damping_scale) * J::Axes::splat(singularity.damping)

@@ -43,7 +43,7 @@ pub(crate) struct AxisParamsSimd {
     pub(crate) step_limit: AxisArray,
     /// Limit of the commanded velocity of a yielding axis [m/s, rad/s].
     pub(crate) soft_step_limit: AxisArray,
-    /// Factor on λ² of each row.
+    /// Factor on the squared damping λ² of each row.
     pub(crate) damping_scale: AxisArray,
     /// True if an axis of the task has a limit of its commanded velocity.
     pub(crate) limits_steps: bool,

@@ -16,7 +16,7 @@ pub(crate) struct Features {
     pub(crate) law: Law,
     /// Chain with prismatic or mimic joints, or with joints beside the path to the tool.
     pub(crate) any_chain: bool,
-    /// Task with other axes than all six of the base.
+    /// Task with axes other than all six of the base.
     pub(crate) any_axes: bool,
     /// Gain K_x that couples the axes of the task.
     pub(crate) coupled_gain: bool,

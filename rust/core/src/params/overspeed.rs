@@ -1,4 +1,4 @@
-//! Speeds of the tool from which the laws reduce forces that would accelerate it.
+//! Speeds of the tool above which the laws reduce forces that would accelerate it.
 
 use crate::MAX_AXES;
 use crate::math::simd::LANES;
@@ -8,10 +8,10 @@ use crate::params::AxisArray;
 /// twice this margin.
 const MARGIN: [f64; 2] = [0.08, 0.3];
 
-/// Speeds of the tool from which forces are reduced.
+/// Speeds of the tool above which forces are reduced.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct OverspeedParams {
-    /// Linear and angular speed [m/s, rad/s] from which forces are reduced, and the further speed over which they
+    /// Linear and angular speed [m/s, rad/s] above which forces are reduced, and the further speed over which they
     /// decrease to zero. The first is ∞ if no axis of the task is of that kind.
     pub(crate) ramps: [[f64; 2]; 2],
     /// Reciprocal of the first of these speeds for each task row.

@@ -33,7 +33,7 @@ pub(crate) struct PacingParams {
     pub(crate) max_acceleration: AxisArray,
     /// Time constant [s] of the damper of each axis (damping divided by stiffness) at the present delay.
     pub(crate) damping: AxisArray,
-    /// Speeds of the tool from which forces are reduced.
+    /// Speeds of the tool above which forces are reduced.
     pub(crate) overspeed: OverspeedParams,
     /// Part of `damping` that restores the servo damping cancelled by the feed-forward [s].
     restored: f64,

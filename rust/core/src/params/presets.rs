@@ -8,13 +8,13 @@ use crate::params::{
 /// Target adaptation η of an axis that yields in preset `soft`.
 const ETA_SOFT: f64 = 0.9;
 
-/// η of a door: the handle moves the tool, and the target pulls it back only weakly.
+/// Target adaptation η of preset `door`: the handle moves the tool, and the target pulls it back only weakly.
 const ETA_DOOR: f64 = 0.999;
 
 /// η of a plug. With a larger η, friction carries the plug past the hole; with a smaller one, the walls push harder.
 const ETA_PLUG: f64 = 0.5;
 
-/// η of hand guiding: the largest that does not require a known `k_p`.
+/// Target adaptation η of preset `hand_guiding`: the largest that does not require a known `k_p`.
 const ETA_HAND_GUIDING: f64 = 0.95;
 
 /// Null-space gain α [1/s] for an arm that is moved far from its posture: a quarter of the default K_x.

@@ -37,7 +37,7 @@ pub(super) const GAIN_DELAY_BOUND: f64 = 0.03;
 /// `λ² = λ₀² + (1 − (σ/σ₀)²) λ_max²` for a smallest singular value σ < σ₀, else λ₀².
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DampingParams {
-    /// λ₀: λ away from singular poses.
+    /// λ₀: damping λ away from singular poses.
     pub lambda_0: f64,
     /// σ₀: value of the smallest singular value σ below which the damping increases.
     pub sigma_0: f64,
@@ -94,7 +94,7 @@ pub(crate) struct Params {
     pub(crate) deviation_limits: Vec<DeviationLimit>,
     /// Factor on each task row: 1 / length for translations, 1 for rotations, so that singular values have no unit.
     pub(crate) row_scale: AxisVec,
-    /// Factor on λ² of each task row: length² for translations, 1 for rotations.
+    /// Factor on the squared damping λ² of each task row: length² for translations, 1 for rotations.
     pub(crate) damping_scale: AxisVec,
     /// Gain K_x over the task rows [1/s].
     pub(crate) kx: [[f64; MAX_AXES]; MAX_AXES],
@@ -129,7 +129,7 @@ pub(crate) struct Params {
     /// 1 / weight of each joint in law `paper`'s pseudo-inverse; 1 under the other laws, which weight joints by the
     /// servos' stiffness.
     pub(crate) joint_weight_inv: JointVec,
-    /// True if a joint has another weight than 1.
+    /// True if a joint has a weight other than 1.
     pub(crate) has_joint_weights: bool,
     /// Speed limit of each joint [rad/s]; ∞ for none.
     pub(crate) joint_speed: JointVec,

@@ -77,7 +77,7 @@ impl Params {
         out
     }
 
-    /// Returns `λ²/k̄`: λ² of each row divided by the servos' mean stiffness.
+    /// Returns `λ²/k̄`: the squared damping of each row divided by the servos' mean stiffness.
     #[inline(always)]
     pub(crate) fn per_stiffness<W: F64x8>(&self, squared: W) -> W {
         squared / W::splat(self.servos.kp_mean)
@@ -89,7 +89,7 @@ impl Params {
         J::load(&self.joint_speed) * J::splat(horizon)
     }
 
-    /// Scales a null-space motion [rad] down to the null-space speed limit over `horizon` [s], if it exceeds it.
+    /// Scales a null-space motion [rad] down to the null-space speed limit over `horizon` [s], if it is larger.
     #[inline(always)]
     pub(crate) fn bound_null_speed<J: JointVector>(&self, null: J, horizon: f64) -> J {
         let highest = self.null_speed * horizon;

@@ -118,11 +118,11 @@ pub enum Damping {
     /// λ₀ = 0.13 σ₀, rounded to two digits.
     #[default]
     Auto,
-    /// A constant λ.
+    /// A constant damping λ.
     Fixed(f64),
     /// λ² = λ₀² + (1 − (σ/σ₀)²) λ_max² for a smallest singular value σ < σ₀, else λ₀².
     Adaptive {
-        /// λ away from singular poses.
+        /// Damping λ away from singular poses.
         lambda_0: f64,
         /// Smallest singular value σ below which the damping increases.
         sigma_0: f64,

@@ -9,7 +9,7 @@ use crate::task::compliance::{compliance_by, lerp};
 /// Deviation of each task axis and the quantities computed from it; one lane per task axis, zeros in unused lanes.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct AxisDemand<W> {
-    /// Deviation e = target − tool [m, rad], under laws that compute a wrench at the time at which the goal arrives.
+    /// Deviation e = target − tool [m, rad]; under laws that compute a wrench, from the target when the goal arrives.
     pub(crate) deviation: W,
     /// Adapted deviation ẽ = (1 − η w) e [m, rad].
     pub(crate) adapted: W,
@@ -39,8 +39,8 @@ impl<W: F64x8> AxisDemand<W> {
     /// row.
     ///
     /// Laws that compute a wrench use the deviation from the target after the time `ahead` [s], for which the positions
-    /// are predicted. Twist as a part of the step would be too much for them: they compensate drag, so that the tool
-    /// would run ahead of the target by twist/K_x.
+    /// are predicted. They do not add the twist to the step, as law `paper` does: they compensate the damping of the
+    /// servos, so the tool would run ahead of the target by twist/K_x.
     #[inline(always)]
     pub(crate) fn new(params: &Params, settings: &Settings, features: Features, e: W, twist: W, ahead: f64) -> Self {
         let rows = &params.axis_simd;
@@ -89,7 +89,7 @@ fn blend_sides<W: F64x8>(plus: W, pair: &[AxisArray; 2]) -> W {
     lerp::<W>(plus, W::from_array(&pair[0]), W::from_array(&pair[1]))
 }
 
-/// Returns `K_x ẽ`.
+/// Returns the task velocity `K_x ẽ` that the gain requests.
 #[inline(always)]
 fn apply_kx<W: F64x8>(params: &Params, features: Features, adapted: W) -> W {
     if !features.coupled_gain {

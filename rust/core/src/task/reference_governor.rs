@@ -512,7 +512,7 @@ mod tests {
                 let from = screw(axis, 0.0);
                 let velocity: [f64; 6] = std::array::from_fn(|i| before * axis[i % 3]);
                 let at = ReferenceGovernor { velocity, target_speed: [before; 2], ..ReferenceGovernor::new(from) };
-                // Differs from the target by rounding, so that the reference uses the general path.
+                // This pose differs from the target by rounding, so that the reference uses the general path.
                 let mut beside = at;
                 beside.pose.position.iter_mut().for_each(|x| *x += 1e-300);
                 let target = screw(axis, now * dt);

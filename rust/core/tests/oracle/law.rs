@@ -83,7 +83,7 @@ impl LawInput<'_> {
         self.rows.nrows()
     }
 
-    /// Returns `C = J K_p⁻¹ Jᵀ`.
+    /// Returns the compliance of the tool on the servos, `C = J K_p⁻¹ Jᵀ`.
     fn c(&self) -> Matrix {
         self.rows * inverse(&diagonal(&self.oracle.kp())) * self.rows.transpose()
     }

@@ -21,7 +21,7 @@ const MAX_NAME: usize = 256;
 #[derive(Clone, Copy)]
 enum Form {
     Name,
-    /// This many finite numbers, separated by spaces.
+    /// The given count of finite numbers, separated by spaces.
     Numbers(usize),
     /// One finite number or an infinity.
     Bound,
