@@ -28,8 +28,9 @@ LOOP_RATE = 250.0
 #: The balance begins once the tool has sunk by `SINK` or risen by `RISE` [m], each plus half an
 #: encoder step of the joint that moves the tool most.
 SINK, RISE = 0.0003, 0.005
-#: Bounds of the estimated load at the tool [kg], and time constant of this estimate [s].
-LEAST_LOAD, LARGEST_LOAD, LOAD_TIME = 0.1, 0.5, 0.02
+#: First value and bounds of the estimated load at the tool [kg]. Time constants of this estimate
+#: while it increases and while it decreases [s]: a load must be found fast, before the arm falls.
+FIRST_LOAD, LEAST_LOAD, LARGEST_LOAD, LOAD_TIME, UNLOAD_TIME = 0.1, 0.02, 0.5, 0.02, 0.15
 #: Lower bound of the norm of the joint torques that hold 1 kg at the tool, in the estimate of the
 #: load [N·m].
 MIN_WEIGHT = 0.1
@@ -232,7 +233,7 @@ class _WeightTransfer:
             np.maximum(self._weight + np.minimum(extra, 0.0) - beyond, -self._usable),
             np.minimum(self._weight + np.maximum(extra, 0.0) + beyond, self._usable),
         )
-        self._set_load(LEAST_LOAD)
+        self._set_load(FIRST_LOAD)
         self._first = io.limit
         # Joints with torque on already hold positions and do not exert the torque of the balance.
         self._follows = ~taken
@@ -344,7 +345,8 @@ class _WeightTransfer:
             float(weight @ weight), MIN_WEIGHT**2
         )
         change = min(max(load, LEAST_LOAD), LARGEST_LOAD) - self._load
-        self._set_load(self._load + min(self._period / LOAD_TIME, 1.0) * change)
+        time = LOAD_TIME if change > 0.0 else UNLOAD_TIME
+        self._set_load(self._load + min(self._period / time, 1.0) * change)
         omega = CONTROL_SHARE * pole
         back = observer.d + 2.0 * omega * self._v + omega**2 * self._x
         back = np.where(self._follows, back, 0.0)
