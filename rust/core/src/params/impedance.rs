@@ -24,23 +24,32 @@ const WELL_DAMPED_DELAY: f64 = 0.03;
 /// Largest ratio ρ of the axes' stiffness to the servos' own that well damped servos allow.
 const WELL_DAMPED_RATIO: f64 = 3.0;
 
+/// Largest ratio ρ for servos that need a large lead and whose stiffness is estimated: it may be twice the estimate, and
+/// forces then reverse 1.4 times as fast.
+const ESTIMATED_RATIO: f64 = 2.0;
+
 /// Largest lead at full torque [rad] with which goals at their default speed limit of 1 rad/s reverse a force in time for
 /// a ratio ρ above `WELL_DAMPED_RATIO`.
 const QUICK_LEAD: f64 = 0.15;
 
 /// Returns the largest ratios ρ of the axes' stiffness [1] and damping [s] to the servos' stiffness at a delay [s]; ∞
 /// with `accept_high_stiffness`. With T_e = delay + half a period: `max(1, 0.03 s / T_e)` for stiffness, at least 3 for
-/// well damped servos up to a T_e of 0.03 s, at most 3 if a servo needs a lead of more than [`QUICK_LEAD`];
-/// `0.007 s² / (T_e + T_f)` for damping.
+/// well damped servos up to a T_e of 0.03 s, at most 3 (2 if the servos are estimated) if a servo needs a lead of more
+/// than [`QUICK_LEAD`]; `0.007 s² / (T_e + T_f)` for damping.
 pub(super) fn bounds(settings: &Settings, delay: f64, servos: &ServoArrays, n: usize) -> [f64; 2] {
     if settings.accept_high_stiffness {
         return [f64::INFINITY; 2];
     }
     let late = delay + 0.5 / settings.rate;
     let least = if servos.well_damped(n) && late <= WELL_DAMPED_DELAY { WELL_DAMPED_RATIO } else { 1.0 };
-    let max = if is_slow(servos, n) { WELL_DAMPED_RATIO } else { f64::INFINITY };
+    let max = if is_slow(servos, n) { slow_ratio(servos) } else { f64::INFINITY };
     let stiffness = (GAIN_DELAY_BOUND / late).max(least).min(max);
     [stiffness, DAMPING_DELAY_BOUND / (late + settings.tracking.velocity_filter)]
+}
+
+/// Returns the largest ratio ρ for servos that need a large lead.
+fn slow_ratio(servos: &ServoArrays) -> f64 {
+    if servos.estimated { ESTIMATED_RATIO } else { WELL_DAMPED_RATIO }
 }
 
 /// Returns true if a servo needs a lead of more than [`QUICK_LEAD`] for its full torque.
@@ -65,7 +74,7 @@ pub(super) fn default_stiffness(model: &Model, settings: &Settings, servos: &Ser
     for (gain, &axis) in gains.iter_mut().zip(axes) {
         *gain = default[usize::from(axis >= 3)];
     }
-    let excess = median_ratio(model, servos, axes, &settings.task.frame, &gains) / WELL_DAMPED_RATIO;
+    let excess = median_ratio(model, servos, axes, &settings.task.frame, &gains) / slow_ratio(servos);
     if excess > 1.0 { default.map(|k| round_down(k / excess)) } else { default }
 }
 

@@ -147,7 +147,7 @@ impl LawInput<'_> {
     }
 
     /// Returns the motion of law `impedance`: `F = clip(K ẽ − D v, ±max_strength)` per axis, with ρ(K) at most `max(1,
-    /// 0.03 s / T_e)`, or 3 if the lead of a servo at full torque is above 0.15 rad, and ρ(D) at most `0.007 s² / (T_e +
+    /// 0.03 s / T_e)`, or 3 (2 for estimated servos) if the lead of a servo at full torque is above 0.15 rad, and ρ(D) at most `0.007 s² / (T_e +
     /// T_f)`.
     pub(super) fn impedance(&self) -> Motion {
         let (settings, kp) = (&self.oracle.settings, self.oracle.kp());
@@ -162,7 +162,8 @@ impl LawInput<'_> {
         };
         let late = self.oracle.delay + 0.5 / settings.rate;
         let least = if self.oracle.well_damped() && late <= 0.03 { 3.0 } else { 1.0 };
-        let max = if self.oracle.ceiling().component_div(&kp).max() > 0.15 { 3.0 } else { f64::INFINITY };
+        let slow = if self.is_known() { 3.0 } else { 2.0 };
+        let max = if self.oracle.ceiling().component_div(&kp).max() > 0.15 { slow } else { f64::INFINITY };
         let derating = within(self.stiffness, (0.03 / late).max(least).min(max));
         let damped = within(self.viscosity, 0.007 / (late + settings.tracking.velocity_filter)) * self.viscosity;
         let force = Vector::from_fn(self.k(), |r, _| {
@@ -195,7 +196,9 @@ impl LawInput<'_> {
         let ceiling = self.oracle.ceiling();
         let (tau_soft, tau_stiff) = (self.rows.transpose() * soft, self.rows.transpose() * stiff);
         let snapshot = (self.in_goal + &tau_soft + &tau_stiff).zip_map(&ceiling, |torque, max| torque.abs().min(max));
-        let feed_forward = (self.idle + self.loaded.component_mul(&snapshot)) * self.measured_share();
+        // The reference is at rest: without speed limits it is the target.
+        let measured = if self.is_known() { 1.0 } else { 0.5 };
+        let feed_forward = (self.idle + self.loaded.component_mul(&snapshot)) * measured;
         let base = self.in_goal + &feed_forward + kp.component_mul(&null);
         let (mut f_soft, mut f_stiff) = (1.0, 1.0);
         if past_limit(&(&base + &tau_soft + &tau_stiff), &ceiling) {
@@ -219,10 +222,8 @@ impl LawInput<'_> {
         }
     }
 
-    /// Returns the share of the feed-forward that follows the measured velocity. The reference is at rest here: without
-    /// speed limits it is the target.
-    fn measured_share(&self) -> f64 {
-        if self.oracle.servos.as_ref().is_none_or(|servos| servos.stiffness_known) { 1.0 } else { 0.5 }
+    fn is_known(&self) -> bool {
+        self.oracle.servos.as_ref().is_none_or(|servos| servos.stiffness_known)
     }
 
     /// Returns the factor that keeps the null-space motion within its own speed limit.
