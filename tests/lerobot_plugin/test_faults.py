@@ -166,6 +166,15 @@ def test_a_camera_that_fails_to_open_keeps_torque_off(make):
     assert not first.is_connected
 
 
+def test_a_log_that_cannot_be_written_keeps_torque_off(make, monkeypatch, tmp_path):
+    pytest.importorskip("mcap_ros2", reason="logs: pip install 'pliant[log]'")
+    robot = make(log=tmp_path)
+    monkeypatch.setattr(pliant.Arm, "enable", lambda _: pytest.fail("torque on"))
+    with pytest.raises(pliant.ConfigError, match="it is a folder; name a file"):
+        robot.connect()
+    assert not robot.is_connected
+
+
 def test_a_camera_that_fails_later_leaves_the_arm_connected(make):
     """`is_connected` stays True; otherwise LeRobot's programs would not lower the arm."""
     robot = make(on_exit="leave_enabled")
