@@ -1,5 +1,6 @@
 """Failures of bus, camera, program and cable, and the reaction of the plugin's arm."""
 
+import atexit
 import gc
 import importlib
 import signal
@@ -107,6 +108,34 @@ def test_a_robot_that_is_deleted_lowers_its_arm(make, plugin):
     del robot
     gc.collect()
     assert not powered(arm)
+
+
+def test_a_descent_by_the_loop_is_announced_once(make, plugin, monkeypatch, caplog):
+    """`disconnect` waits for it, however long it takes."""
+    module = importlib.import_module(f"{plugin.__name__}._control_thread")
+    monkeypatch.setattr(module, "STOP_TIMEOUT", 0.1)
+    caplog.set_level("INFO")
+    robot = make(rest_q=LOW_POSE)
+    robot.connect()
+    arm = arm_of(robot)
+    monkeypatch.setattr(robot._session.behavior, "step", lambda *_: 1 / 0)
+    assert wait_for(lambda: "is being lowered" in caplog.text)
+    robot.disconnect()
+    assert not powered(arm)
+    assert caplog.text.count("is being lowered") == 1
+
+
+def test_a_program_that_ends_lowers_the_arm_after_the_loop(make, monkeypatch, caplog):
+    """LeRobot's programs end without `disconnect` if that of the teleoperator fails."""
+    callbacks = []
+    monkeypatch.setattr(atexit, "register", callbacks.append)
+    robot = make(rest_q=LOW_POSE)
+    robot.connect()
+    arm = arm_of(robot)
+    for callback in reversed(callbacks):
+        callback()
+    assert not powered(arm)
+    assert caplog.text.count("is being lowered") == 1
 
 
 @pytest.fixture

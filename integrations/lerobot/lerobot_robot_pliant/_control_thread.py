@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import threading
 from dataclasses import dataclass, field
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 RATE = 100.0
 #: Time within which the first tick must come [s].
 START_TIMEOUT = 5.0
-#: Time within which the thread must end [s].
+#: Time within which the thread must end [s], unless it is lowering the arm after an error.
 STOP_TIMEOUT = 5.0
 #: Longest stall of the thread [s], for example while a library holds Python's global lock to load a
 #: policy or to save an episode. The servos hold their goals meanwhile.
@@ -93,16 +94,24 @@ class ControlThread:
         Raises:
             DeviceNotConnectedError: The loop ended, or no tick came.
         """
+        # Called before the arm is lowered at the end of the program: otherwise the loop would fail.
+        atexit.register(self.stop)
         self._thread.start()
         self._ready.wait(START_TIMEOUT)
         self.snapshot()
 
     def stop(self) -> None:
-        """End the loop; the arm keeps its last goals and limits until it is lowered."""
+        """End the loop; the arm keeps its last goals and limits until it is lowered.
+
+        After an error in the loop, the thread lowers the arm itself, and `stop` waits until then.
+        """
+        atexit.unregister(self.stop)
         self._stopping.set()
         # The garbage collector may delete the robot, and so call `stop`, in this thread itself.
         if self._thread.is_alive() and self._thread is not threading.current_thread():
             self._thread.join(STOP_TIMEOUT)
+            if self._error is not None:
+                self._thread.join()
 
     def snapshot(self) -> Snapshot:
         """Return the values of the last tick.
