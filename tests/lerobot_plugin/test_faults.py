@@ -273,7 +273,8 @@ def test_one_dead_arm_ends_the_other_too(pair, errors, monkeypatch):
     arms = [arm_of(left), arm_of(right)]
     monkeypatch.setattr(left._session.behavior, "step", lambda *_: 1 / 0)
     assert wait_for(lambda: not arms[0].enabled)
-    with pytest.raises(errors.DeviceNotConnectedError, match="division by zero"):
+    message = "control loop of pair_left PliantFollower ended: division by zero"
+    with pytest.raises(errors.DeviceNotConnectedError, match=message):
         pair.get_observation()
     assert pair.is_connected
     assert arms[1].enabled

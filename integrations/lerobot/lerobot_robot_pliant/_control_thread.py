@@ -65,6 +65,7 @@ class ControlThread:
         controller: Controller of the loop.
         behavior: Object whose `step` is called in each tick. It must not refer to the robot, which
             could then never be garbage-collected.
+        name: Name of the robot or teleoperator in error messages.
         on_exit: `lower` or `leave_enabled`.
         recorder: Recorder of the loop; None: no log.
     """
@@ -75,11 +76,12 @@ class ControlThread:
         controller: Any,
         behavior: Behavior,
         *,
+        name: str,
         on_exit: str,
         recorder: Any | None = None,
     ) -> None:
         """Create the loop; `start` starts it."""
-        self._arm, self._behavior, self._on_exit = arm, behavior, on_exit
+        self._arm, self._behavior, self._name, self._on_exit = arm, behavior, name, on_exit
         self._loop = pliant.Loop(
             arm, controller, rate=RATE, max_step_time=MAX_STALL, recorder=recorder
         )
@@ -121,11 +123,11 @@ class ControlThread:
         """
         if self._error is not None:
             raise DeviceNotConnectedError(
-                f"the control loop of {self._arm.name} ended: {self._error}; call "
+                f"the control loop of {self._name} ended: {self._error}; call "
                 "disconnect(), then connect() starts again"
             ) from self._error
         if self._snapshot is None:
-            raise DeviceNotConnectedError(f"no tick of {self._arm.name} within {START_TIMEOUT:g} s")
+            raise DeviceNotConnectedError(f"no tick of {self._name} within {START_TIMEOUT:g} s")
         return self._snapshot
 
     def _run(self) -> None:

@@ -275,7 +275,9 @@ class PliantFollower(Robot):
             observe=config.observe,
             gripper_torque=self._gripper_torque(),
         )
-        control = ControlThread(arm, follower, behavior, on_exit=config.on_exit, recorder=recorder)
+        control = ControlThread(
+            arm, follower, behavior, name=str(self), on_exit=config.on_exit, recorder=recorder
+        )
         try:
             control.start()
         except BaseException:
