@@ -92,8 +92,12 @@ def test_calibrations_are_found_where_each_version_left_them(tmp_path, monkeypat
     (tmp_path / "robots/so_follower/mine.json").write_text("{}")
     assert config.find_calibration("mine", "so101").parent.name == "so_follower"
     assert config.find_calibration("mine", "my_arm.toml").parent.name == "so_follower"
-    with pytest.raises(pliant.ConfigError, match=r"'mine' .*koch_follower: run lerobot-calibrate"):
+    # The plugin's own types write no calibration.
+    run = "lerobot-calibrate --robot.type=koch_follower --robot.id=mine --robot.port=PORT"
+    with pytest.raises(pliant.ConfigError, match=rf"'mine' .*koch_follower: run {run}"):
         config.find_calibration("mine", "koch")
     # Leaders and followers with the same id are different arms.
     with pytest.raises(pliant.ConfigError, match=r"'lead' .*so_follower; there are mine"):
         config.find_calibration("lead", "so101")
+    with pytest.raises(pliant.ConfigError, match=r"--teleop\.type=so101_leader --teleop\.id=mine"):
+        config.find_calibration("mine", "my_arm.toml", "teleoperators")

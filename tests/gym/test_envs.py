@@ -206,6 +206,16 @@ def test_without_a_render_mode_there_is_no_picture():
         TaskEnv(Wall(), render_mode="human")
 
 
+@pytest.mark.slow
+def test_pictures_may_be_larger_than_mujocos_buffer_but_not_empty():
+    env = TaskEnv(Wall(), render_mode="rgb_array", width=1280, height=720)
+    env.reset(seed=0)
+    assert env.render().shape == (720, 1280, 3)
+    env.close()
+    with pytest.raises(pliant.ConfigError, match="pictures of 0 x 240 pixels"):
+        TaskEnv(Wall(), width=0)
+
+
 @pytest.mark.parametrize("wrong", [np.nan, np.inf])
 def test_an_action_that_is_not_finite_is_refused_and_changes_nothing(wrong):
     env = TaskEnv(Wall())

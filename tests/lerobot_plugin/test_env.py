@@ -84,6 +84,7 @@ def test_a_vector_of_lerobots_mode_names_the_success(envs):
         ({"seconds": 0.0}, "seconds must be above 0 s, got 0"),
         ({"obs_type": "pixels"}, "obs_type 'pixels'; choose from state, pixels_state"),
         ({"soft": "w"}, "soft 'w' is no axis of the task"),
+        ({"observation_width": 0}, "pictures of 0 x 240 pixels"),
     ],
 )
 def test_wrong_options_are_named(envs, options, text):

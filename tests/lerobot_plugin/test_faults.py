@@ -1,5 +1,6 @@
 """Failures of bus, camera, program and cable, and the reaction of the plugin's arm."""
 
+import atexit
 import gc
 import importlib
 import signal
@@ -109,6 +110,34 @@ def test_a_robot_that_is_deleted_lowers_its_arm(make, plugin):
     assert not powered(arm)
 
 
+def test_a_descent_by_the_loop_is_announced_once(make, plugin, monkeypatch, caplog):
+    """`disconnect` waits for it, however long it takes."""
+    module = importlib.import_module(f"{plugin.__name__}._control_thread")
+    monkeypatch.setattr(module, "STOP_TIMEOUT", 0.1)
+    caplog.set_level("INFO")
+    robot = make(rest_q=LOW_POSE)
+    robot.connect()
+    arm = arm_of(robot)
+    monkeypatch.setattr(robot._session.behavior, "step", lambda *_: 1 / 0)
+    assert wait_for(lambda: "is being lowered" in caplog.text)
+    robot.disconnect()
+    assert not powered(arm)
+    assert caplog.text.count("is being lowered") == 1
+
+
+def test_a_program_that_ends_lowers_the_arm_after_the_loop(make, monkeypatch, caplog):
+    """LeRobot's programs end without `disconnect` if that of the teleoperator fails."""
+    callbacks = []
+    monkeypatch.setattr(atexit, "register", callbacks.append)
+    robot = make(rest_q=LOW_POSE)
+    robot.connect()
+    arm = arm_of(robot)
+    for callback in reversed(callbacks):
+        callback()
+    assert not powered(arm)
+    assert caplog.text.count("is being lowered") == 1
+
+
 @pytest.fixture
 def interruptible():
     """Make Ctrl-C raise KeyboardInterrupt; a test run in the background would ignore it."""
@@ -164,6 +193,15 @@ def test_a_camera_that_fails_to_open_keeps_torque_off(make):
         robot.connect()
     assert not robot.is_connected
     assert not first.is_connected
+
+
+def test_a_log_that_cannot_be_written_keeps_torque_off(make, monkeypatch, tmp_path):
+    pytest.importorskip("mcap_ros2", reason="logs: pip install 'pliant[log]'")
+    robot = make(log=tmp_path)
+    monkeypatch.setattr(pliant.Arm, "enable", lambda _: pytest.fail("torque on"))
+    with pytest.raises(pliant.ConfigError, match="it is a folder; name a file"):
+        robot.connect()
+    assert not robot.is_connected
 
 
 def test_a_camera_that_fails_later_leaves_the_arm_connected(make):
@@ -235,7 +273,8 @@ def test_one_dead_arm_ends_the_other_too(pair, errors, monkeypatch):
     arms = [arm_of(left), arm_of(right)]
     monkeypatch.setattr(left._session.behavior, "step", lambda *_: 1 / 0)
     assert wait_for(lambda: not arms[0].enabled)
-    with pytest.raises(errors.DeviceNotConnectedError, match="division by zero"):
+    message = "control loop of pair_left PliantFollower ended: division by zero"
+    with pytest.raises(errors.DeviceNotConnectedError, match=message):
         pair.get_observation()
     assert pair.is_connected
     assert arms[1].enabled

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import threading
 from dataclasses import dataclass, field
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 RATE = 100.0
 #: Time within which the first tick must come [s].
 START_TIMEOUT = 5.0
-#: Time within which the thread must end [s].
+#: Time within which the thread must end [s], unless it is lowering the arm after an error.
 STOP_TIMEOUT = 5.0
 #: Longest stall of the thread [s], for example while a library holds Python's global lock to load a
 #: policy or to save an episode. The servos hold their goals meanwhile.
@@ -64,6 +65,7 @@ class ControlThread:
         controller: Controller of the loop.
         behavior: Object whose `step` is called in each tick. It must not refer to the robot, which
             could then never be garbage-collected.
+        name: Name of the robot or teleoperator in error messages.
         on_exit: `lower` or `leave_enabled`.
         recorder: Recorder of the loop; None: no log.
     """
@@ -74,11 +76,12 @@ class ControlThread:
         controller: Any,
         behavior: Behavior,
         *,
+        name: str,
         on_exit: str,
         recorder: Any | None = None,
     ) -> None:
         """Create the loop; `start` starts it."""
-        self._arm, self._behavior, self._on_exit = arm, behavior, on_exit
+        self._arm, self._behavior, self._name, self._on_exit = arm, behavior, name, on_exit
         self._loop = pliant.Loop(
             arm, controller, rate=RATE, max_step_time=MAX_STALL, recorder=recorder
         )
@@ -93,16 +96,24 @@ class ControlThread:
         Raises:
             DeviceNotConnectedError: The loop ended, or no tick came.
         """
+        # Called before the arm is lowered at the end of the program: otherwise the loop would fail.
+        atexit.register(self.stop)
         self._thread.start()
         self._ready.wait(START_TIMEOUT)
         self.snapshot()
 
     def stop(self) -> None:
-        """End the loop; the arm keeps its last goals and limits until it is lowered."""
+        """End the loop; the arm keeps its last goals and limits until it is lowered.
+
+        After an error in the loop, the thread lowers the arm itself, and `stop` waits until then.
+        """
+        atexit.unregister(self.stop)
         self._stopping.set()
         # The garbage collector may delete the robot, and so call `stop`, in this thread itself.
         if self._thread.is_alive() and self._thread is not threading.current_thread():
             self._thread.join(STOP_TIMEOUT)
+            if self._error is not None:
+                self._thread.join()
 
     def snapshot(self) -> Snapshot:
         """Return the values of the last tick.
@@ -112,11 +123,11 @@ class ControlThread:
         """
         if self._error is not None:
             raise DeviceNotConnectedError(
-                f"the control loop of {self._arm.name} ended: {self._error}; call "
+                f"the control loop of {self._name} ended: {self._error}; call "
                 "disconnect(), then connect() starts again"
             ) from self._error
         if self._snapshot is None:
-            raise DeviceNotConnectedError(f"no tick of {self._arm.name} within {START_TIMEOUT:g} s")
+            raise DeviceNotConnectedError(f"no tick of {self._name} within {START_TIMEOUT:g} s")
         return self._snapshot
 
     def _run(self) -> None:

@@ -217,6 +217,7 @@ class PliantFollower(Robot):
         Raises:
             DeviceAlreadyConnectedError: `disconnect` first.
             ConfigError, ServoError: As `pliant.connect` and `Arm.enable`.
+            ConfigError, OSError, ImportError: As `pliant.log.Recorder`.
         """
         if self._session is not None:
             raise DeviceAlreadyConnectedError(f"{self} is already connected")
@@ -228,11 +229,12 @@ class PliantFollower(Robot):
             )
         arm = pliant.connect(self._file, **self._arm_options())
         try:
-            # Open the cameras first: a camera that fails later would make the arm descend.
+            # Log and cameras first: one that fails after torque on would make the arm descend.
+            recorder = self._recorder()
             for camera in self.cameras.values():
                 camera.connect()
             arm.enable()
-            self._session = self._start(arm)
+            self._session = self._start(arm, recorder)
         except BaseException:
             self._close(arm)
             raise
@@ -247,7 +249,15 @@ class PliantFollower(Robot):
             options["real_time"] = True
         return options
 
-    def _start(self, arm: pliant.Arm) -> "_Session":
+    def _recorder(self) -> Any | None:
+        """Return the recorder of the option `log`; None: no log."""
+        if self.config.log is None:
+            return None
+        from pliant.log import Recorder
+
+        return Recorder(self.config.log, config=self._file)
+
+    def _start(self, arm: pliant.Arm, recorder: Any | None) -> "_Session":
         """Start the control loop of an enabled arm."""
         config = self.config
         follower = JointFollower(
@@ -257,11 +267,6 @@ class PliantFollower(Robot):
             max_tool_speed=config.max_tool_speed,
             max_joint_speed=config.max_joint_speed,
         )
-        recorder = None
-        if config.log is not None:
-            from pliant.log import Recorder
-
-            recorder = Recorder(config.log, config=self._file)
         state = arm.read()
         behavior = _FollowerBehavior(
             arm,
@@ -270,7 +275,9 @@ class PliantFollower(Robot):
             observe=config.observe,
             gripper_torque=self._gripper_torque(),
         )
-        control = ControlThread(arm, follower, behavior, on_exit=config.on_exit, recorder=recorder)
+        control = ControlThread(
+            arm, follower, behavior, name=str(self), on_exit=config.on_exit, recorder=recorder
+        )
         try:
             control.start()
         except BaseException:

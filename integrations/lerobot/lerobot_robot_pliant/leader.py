@@ -153,7 +153,7 @@ class PliantLeader(Teleoperator):
         guiding = _Guiding(pliant.HandGuiding(arm.model, arm.servos, rate=RATE))
         following = JointFollower(arm.model, arm.servos, max_force=self.config.follow_force)
         behavior = _LeaderBehavior(arm, following)
-        control = ControlThread(arm, guiding, behavior, on_exit=self.config.on_exit)
+        control = ControlThread(arm, guiding, behavior, name=str(self), on_exit=self.config.on_exit)
         try:
             control.start()
             # Return only when the oscillation is over: a follower would copy it.

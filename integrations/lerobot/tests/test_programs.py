@@ -134,7 +134,7 @@ def test_ctrl_c_lowers_and_further_ones_leave_at_once(program, tmp_path, name, l
     begun = {"teleoperate": "Teleop loop", "record": "episode 1", "rollout": "loop started"}
     run.wait_for(begun[name])
     run.interrupt()
-    run.wait_for("_like is being lowered")
+    run.wait_for("so101 is being lowered")
     # A repetition within 0.75 s counts as a key that is held down.
     for _ in range(2 if leaves else 0):
         time.sleep(1.0)

@@ -98,8 +98,9 @@ def _motor(file: Path, name: str, entry: object) -> Calibration:
     return out
 
 
-#: For each kind of device with a LeRobot calibration: last word of the names of its folders.
-_KINDS = {"robots": "follower", "teleoperators": "leader"}
+#: For each kind of device with a LeRobot calibration: its option in LeRobot's commands, and the
+#: last word of its types and of the names of its folders.
+_KINDS = {"robots": ("robot", "follower"), "teleoperators": ("teleop", "leader")}
 #: Start of the names of LeRobot's calibration folders for each built-in arm, newest name first:
 #: LeRobot 0.6 has one folder for all SO arms, earlier versions one folder per arm.
 _FOLDERS = {arm: ("so", "so101", "so100") for arm in ("so101", "so100")} | {"koch": ("koch",)}
@@ -127,16 +128,20 @@ def find_calibration(
         ConfigError: There is no such file; the message names the folder and the ids found in it.
     """
     root = calibration_folder() / kind
+    option, word = _KINDS[kind]
     known = _FOLDERS.get(arm) or dict.fromkeys(
         f for prefixes in _FOLDERS.values() for f in prefixes
     )
-    folders = [root / f"{folder}_{_KINDS[kind]}" for folder in known]
+    folders = [root / f"{folder}_{word}" for folder in known]
     for folder in folders:
         if (file := folder / f"{name}.json").is_file():
             return file
     ids = sorted({file.stem for folder in folders for file in folder.glob("*.json")})
     hint = f"; there are {', '.join(ids)}" if ids else ""
+    # Only LeRobot's own types write the file; those of the plugin do not.
+    stock = arm if arm in _FOLDERS else "so101"
     raise ConfigError(
         f"LeRobot has no calibration with id {name!r} in {root}/{folders[0].name}{hint}: run "
-        "lerobot-calibrate, or name the file as `calibration`"
+        f"lerobot-calibrate --{option}.type={stock}_{word} --{option}.id={name} "
+        f"--{option}.port=PORT, or name the file as `calibration`"
     )

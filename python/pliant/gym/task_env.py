@@ -43,8 +43,8 @@ class TaskEnv(gymnasium.Env[dict[str, "Array"], "Array"]):
         picture_size: Height and width of the pictures [pixel].
 
     Raises:
-        ConfigError: `action` names an axis twice or an axis that does not exist, or there is no
-            such render mode.
+        ConfigError: `action` names an axis twice or an axis that does not exist, there is no such
+            render mode, or a picture has no pixel.
     """
 
     metadata = {"render_modes": ["rgb_array"]}  # noqa: RUF012 - the name and the type are Gymnasium's
@@ -60,6 +60,8 @@ class TaskEnv(gymnasium.Env[dict[str, "Array"], "Array"]):
     ) -> None:
         if render_mode not in (None, "rgb_array"):
             raise ConfigError(f'render_mode {render_mode!r}; choose "rgb_array" or None')
+        if min(width, height) < 1:
+            raise ConfigError(f"pictures of {width} x {height} pixels: both must be at least 1")
         self.task, self.render_mode, self.picture_size = task, render_mode, (height, width)
         self.metadata = {**self.metadata, "render_fps": round(task.decision_rate)}
         self._renderer: Any = None
@@ -105,6 +107,9 @@ class TaskEnv(gymnasium.Env[dict[str, "Array"], "Array"]):
         if self._renderer is None:
             _check_display()
             plant.mj_model.vis.headlight.ambient[:] = 0.6
+            # MuJoCo's buffer for drawing has 640 x 480 pixels, if the model gives no other size.
+            buffer = plant.mj_model.vis.global_
+            buffer.offheight, buffer.offwidth = self.picture_size
             self._renderer = mujoco.Renderer(plant.mj_model, *self.picture_size)
             self._camera = mujoco.MjvCamera()
             self._camera.lookat[:], self._camera.distance = (0.25, 0.0, -0.18), 1.25
