@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from pliant.servo._port import Port
     from pliant.servo._transactions import Reply, TransactionGuard
 
-#: Highest id that is pinged when a servo is missing, for the list of ids that answer.
+#: Highest id that is pinged for the list of ids that answer.
 NEARBY = 20
 #: Extra delay of replies, beyond their wire time, above which the adapter is reported as slow [s].
 MIN_HOLD_BACK = 0.008
@@ -221,13 +221,18 @@ def _broken(port: Port, broken: list[tuple[Device, BusError]], *, all_of_them: b
     return [f"{device.name}: {error}. {SAME_ID}" for device, error in broken]
 
 
+def other_ids(port: Port) -> list[int]:
+    """Return the ids up to `NEARBY` that answer a ping and that no joint has."""
+    expected = {device.id for device in port.devices}
+    return [i for i in range(NEARBY + 1) if i not in expected and port.guard.ping(i)]
+
+
 def _missing(port: Port, missing: list[Device]) -> str:
     """Return an error text that names the servos without an answer, and the ids that answer."""
     expected = {device.id for device in port.devices}
     silent = {device.id for device in missing}
-    nearby = [i for i in range(NEARBY + 1) if i not in expected and port.guard.ping(i)]
     names = ", ".join(f"{device.spec.name} (id {device.id})" for device in missing)
-    answering = sorted(expected - silent | set(nearby))
+    answering = sorted(expected - silent | set(other_ids(port)))
     if not answering:
         return (
             f"no servo answers on {port.path}: is their power on, is it the right port, and is the "
