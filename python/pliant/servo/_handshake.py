@@ -240,7 +240,8 @@ def _missing(port: Port, missing: list[Device]) -> str:
         )
     return (
         f"no answer on {port.path} from {names}; ids that answer: "
-        f"{', '.join(map(str, answering))}. The servos behind a loose plug are silent too; a wrong "
+        f"{', '.join(map(str, answering))}. The servos behind a loose plug are silent too; "
+        "`pliant servos scan` finds one with another baud rate, as a new servo may have; a wrong "
         "id is changed by `pliant servos setup ARM --set-id OLD:NEW`"
     )
 
