@@ -46,6 +46,13 @@ def test_a_missing_servo_is_named_with_those_that_answer():
     assert "ids that answer: 1, 7" in text
 
 
+def test_a_device_that_sends_by_itself_is_named():
+    with Emulator([Device("STS3215", id=1)]) as bus:
+        bus.hum()
+        with pytest.raises(ServoError, match=r"never silent: .* a device that sends by itself"):
+            opened(bus, PAN)
+
+
 def test_a_servo_at_another_baud_rate_is_looked_for_by_a_scan():
     text = complaint([Device("STS3215", id=1), Device("STS3215", id=2, baud_rate=1)], PAN, LIFT)
     assert re.search(r"lift \(id 2\).* `pliant servos scan` finds .* another baud rate", text)
