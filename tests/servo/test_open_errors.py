@@ -46,6 +46,18 @@ def test_a_missing_servo_is_named_with_those_that_answer():
     assert "ids that answer: 1, 7" in text
 
 
+def test_a_device_that_sends_by_itself_is_named():
+    with Emulator([Device("STS3215", id=1)]) as bus:
+        bus.hum()
+        with pytest.raises(ServoError, match=r"never silent: .* a device that sends by itself"):
+            opened(bus, PAN)
+
+
+def test_a_servo_at_another_baud_rate_is_looked_for_by_a_scan():
+    text = complaint([Device("STS3215", id=1), Device("STS3215", id=2, baud_rate=1)], PAN, LIFT)
+    assert re.search(r"lift \(id 2\).* `pliant servos scan` finds .* another baud rate", text)
+
+
 def test_a_servo_that_falls_silent_after_it_was_identified_is_named(emulated, monkeypatch):
     with emulated("sts", 2, is_open=False) as (bus, servo_bus):
         identify = ServoBus.identify
@@ -106,6 +118,30 @@ def test_a_wrong_supply_is_told_once_where_the_servos_measure_it_differently():
     (text,) = str(error.value).splitlines()
     assert text.startswith("pan (id 1), lift (id 2) on ")
     assert ": their supply is 12.0 to 12.1 V and STS3215-7.4V takes" in text
+
+
+@pytest.mark.parametrize(
+    ("limits", "told"),
+    [({"min_voltage_limit": 90}, "9 to 8 V"), ({"max_voltage_limit": 60}, "4 to 6 V")],
+)
+def test_voltage_limits_that_exclude_the_right_supply_are_told(limits, told):
+    text = complaint([Device("STS3215-7.4V", id=1, **limits)], PAN)
+    sheet = "STS3215-7.4V takes 3.5 to 8.9 V"
+    assert f"is 7.4 V and the voltage limits in the EEPROM are {told} ({sheet}): wrong" in text
+
+
+def test_a_servo_that_answers_pings_only_is_not_taken_for_a_missing_one():
+    parts = [Device("XL430-W250", id=number) for number in (1, 2, 3)]
+    with Emulator(parts, clock="steps") as bus:
+        for servo in bus.servos[:2]:
+            servo.put("status_return_level", 0)
+        specs = [{**spec, "model": "XL430-W250"} for spec in (PAN, LIFT, {**ELBOW, "id": 7})]
+        with pytest.raises(ServoError) as error:
+            opened(bus, *specs)
+    silent, mute = str(error.value).splitlines()
+    assert "from elbow (id 7); ids that answer: 1, 2, 3." in silent
+    assert mute.startswith("pan (id 1), lift (id 2) on ")
+    assert "a ping but no read, as with Status Return Level 0" in mute
 
 
 def test_a_register_that_was_not_read_has_no_value():
@@ -270,6 +306,9 @@ EX, RX, MX = ("EX-106+",) * 2, ("RX-64",) * 2, ("MX-64",) * 2
         (XM, {"operating_mode": 5, "drive_mode": 8}, "(bit 3)"),
         (XM, {"operating_mode": 5, "secondary_id": 252}, "obeys id 252"),
         (XM, {"operating_mode": 5, "secondary_id": 253}, None),
+        (XM, {"operating_mode": 5, "startup_configuration": 1}, "torque on after every restart"),
+        (XL, {"startup_configuration": 3}, "torque on after every restart"),
+        (XL, {"startup_configuration": 2}, None),
         (XL, {"operating_mode": 3}, None),
         (XL, {"operating_mode": 4}, None),
         (XL, {"operating_mode": 5}, "operating mode 5, needed is 3 or 4"),

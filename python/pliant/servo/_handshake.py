@@ -16,6 +16,7 @@ from pliant.servo._device import TRIPPED
 from pliant.servo._transactions import RESPONSE_DELAY
 from pliant.servo.eeprom import OVERLOAD_BIT, SAME_ID
 from pliant.servo.models import by_number
+from pliant.servo.models.protocol2 import STARTUP
 from pliant.servo.transport import BusError
 
 if TYPE_CHECKING:
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     from pliant.servo._port import Port
     from pliant.servo._transactions import Reply, TransactionGuard
 
-#: Highest id that is pinged when a servo is missing, for the list of ids that answer.
+#: Highest id that is pinged for the list of ids that answer.
 NEARBY = 20
 #: Extra delay of replies, beyond their wire time, above which the adapter is reported as slow [s].
 MIN_HOLD_BACK = 0.008
@@ -33,6 +34,12 @@ MIN_HOLD_BACK = 0.008
 SPEED_UNIT_BIT = 2
 
 
+#: Error text about a servo that answers pings, but no reads. The level is in RAM or in EEPROM.
+MUTE = (
+    "it answers a ping but no read, as with Status Return Level 0: switch its supply off and on; "
+    "if that does not help, set this level to 2 with the maker's tool (`pliant servos setup` "
+    "cannot read the servo either)"
+)
 #: Remedy in errors about a calibration file that differs from the registers of the servo.
 CALIBRATION_REMEDY = (
     "the file is of another arm, or older than its last calibration: name the file of this arm, or "
@@ -144,26 +151,29 @@ def identify(port: Port) -> tuple[ServoInfo, ...]:
             continue
         images.append((device, image))
     errors = _broken(port, broken, all_of_them=not images and not missing)
-    if missing:
-        errors.insert(0, _missing(port, missing))
     infos = []
     faulty: list[tuple[str, str]] = []
-    unfit: dict[tuple[str, float, float], dict[str, float]] = {}
+    # A servo that returns no status answers pings all the same.
+    mute = [device for device in missing if port.guard.ping(device.id)]
+    faulty += [(f"{device.spec.name} (id {device.id})", MUTE) for device in mute]
+    if silent := [device for device in missing if device not in mute]:
+        errors.insert(0, _missing(port, silent))
+    unfit: dict[str, dict[str, float]] = {}
     for device, image in images:
         name = f"{device.spec.name} (id {device.id})"
-        faults = _check(device, image)
+        faults = _check(device, image) + _startup_errors(port.guard, device)
         faulty += [(name, text) for text in faults]
         low, high = _supply(device, image)
         has_supply = low <= (volts := image["voltage"] / 10.0) <= high
         if not has_supply and image["model"] == device.row.model_number:
-            unfit.setdefault((device.row.name, low, high), {})[name] = volts
+            unfit.setdefault(_supply_range(device, image), {})[name] = volts
         elif not faults:
             try:
                 infos.append(_store_registers(device, image))
             except ServoError as error:
                 errors.append(str(error))
-    for servo, readings in unfit.items():
-        text = _supply_error(*servo, list(readings.values()))
+    for allowed, readings in unfit.items():
+        text = _supply_error(allowed, list(readings.values()))
         faulty += [(name, text) for name in readings]
     errors += [f"{names} on {port.path}: {text}" for names, text in named_together(faulty)]
     if errors:
@@ -211,13 +221,18 @@ def _broken(port: Port, broken: list[tuple[Device, BusError]], *, all_of_them: b
     return [f"{device.name}: {error}. {SAME_ID}" for device, error in broken]
 
 
+def other_ids(port: Port) -> list[int]:
+    """Return the ids up to `NEARBY` that answer a ping and that no joint has."""
+    expected = {device.id for device in port.devices}
+    return [i for i in range(NEARBY + 1) if i not in expected and port.guard.ping(i)]
+
+
 def _missing(port: Port, missing: list[Device]) -> str:
     """Return an error text that names the servos without an answer, and the ids that answer."""
     expected = {device.id for device in port.devices}
     silent = {device.id for device in missing}
-    nearby = [i for i in range(NEARBY + 1) if i not in expected and port.guard.ping(i)]
     names = ", ".join(f"{device.spec.name} (id {device.id})" for device in missing)
-    answering = sorted(expected - silent | set(nearby))
+    answering = sorted(expected - silent | set(other_ids(port)))
     if not answering:
         return (
             f"no servo answers on {port.path}: is their power on, is it the right port, and is the "
@@ -225,7 +240,8 @@ def _missing(port: Port, missing: list[Device]) -> str:
         )
     return (
         f"no answer on {port.path} from {names}; ids that answer: "
-        f"{', '.join(map(str, answering))}. The servos behind a loose plug are silent too; a wrong "
+        f"{', '.join(map(str, answering))}. The servos behind a loose plug are silent too; "
+        "`pliant servos scan` finds one with another baud rate, as a new servo may have; a wrong "
         "id is changed by `pliant servos setup ARM --set-id OLD:NEW`"
     )
 
@@ -284,24 +300,42 @@ def _store_initial_values(device: Device, image: RegisterImage) -> None:
 def _supply(device: Device, image: RegisterImage) -> tuple[float, float]:
     """Return lowest and highest supply voltage [V] at which the servo may be driven.
 
-    They are the limits in the servo's EEPROM, clipped to the range of the data sheet ±0.5 V.
+    They are the limits in the servo's EEPROM, clipped to the range of the data sheet.
     """
-    lowest, highest = device.row.voltage
+    lowest, highest = _data_sheet_supply(device)
     low, high = image["voltage_min"] / 10.0, image["voltage_max"] / 10.0
-    return max(low, lowest - 0.5), min(high, highest + 0.5)
+    return max(low, lowest), min(high, highest)
 
 
-def _supply_error(model: str, low: float, high: float, volts: Sequence[float]) -> str:
-    """Return the error text for servos of one model that take `low` to `high` [V].
+def _data_sheet_supply(device: Device) -> tuple[float, float]:
+    """Return lowest and highest supply voltage [V] of the data sheet ±0.5 V."""
+    lowest, highest = device.row.voltage
+    return lowest - 0.5, highest + 0.5
 
-    `volts` are their supply voltages [V].
+
+def _supply_range(device: Device, image: RegisterImage) -> str:
+    """Return the range of voltages that the present supply of a servo is outside of, as a text."""
+    name, (lowest, highest) = device.row.name, _data_sheet_supply(device)
+    if not lowest <= image["voltage"] / 10.0 <= highest:
+        low, high = _supply(device, image)
+        return f"{name} takes {low:g} to {high:g} V"
+    low, high = image["voltage_min"] / 10.0, image["voltage_max"] / 10.0
+    return (
+        f"the voltage limits in the EEPROM are {low:g} to {high:g} V ({name} takes {lowest:g} to "
+        f"{highest:g} V)"
+    )
+
+
+def _supply_error(allowed: str, volts: Sequence[float]) -> str:
+    """Return the error text for servos whose supply voltages `volts` [V] are outside a range.
+
+    `allowed` is the text about this range.
     """
     ends = dict.fromkeys(f"{end(volts):.1f}" for end in (min, max))
     return (
-        f"{'its' if len(volts) == 1 else 'their'} supply is {' to '.join(ends)} V and {model} "
-        f"takes {low:g} to {high:g} V: wrong supply (take the power off), another variant than the "
-        "configuration says (name it there), or wrong voltage limits in the EEPROM (set them with "
-        "the maker's tool)"
+        f"{'its' if len(volts) == 1 else 'their'} supply is {' to '.join(ends)} V and {allowed}: "
+        "wrong supply (take the power off), another variant than the configuration says (name it "
+        "there), or wrong voltage limits in the EEPROM (set them with the maker's tool)"
     )
 
 
@@ -353,6 +387,27 @@ def _check_mode(device: Device, image: RegisterImage) -> list[str]:
                 "joint's secondary"
             )
     return errors
+
+
+def _startup_errors(guard: TransactionGuard, device: Device) -> list[str]:
+    """Return an error text if a servo switches its torque on by itself after a restart.
+
+    It would take its next goal from wherever its joint has fallen to.
+    """
+    if device.family.status != "p2":
+        return []
+    try:
+        reply = guard.read(device.id, STARTUP)
+    except BusError as error:
+        error.raise_if_gone()
+        return []  # this firmware has no such register
+    if not reply.data[0] & 1:
+        return []
+    return [
+        "its Startup Configuration switches its torque on after every restart (bit 0), with which "
+        "a joint that fell meanwhile jumps back: support the arm, and clear the bit with the "
+        "maker's tool"
+    ]
 
 
 def _store_registers(device: Device, image: RegisterImage) -> ServoInfo:

@@ -204,8 +204,9 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 NOISE_MESSAGE = (
-    "the line is never silent: an adapter that receives its own requests (switch its echo off), or "
-    "noise (cable, ground, termination)"
+    "the line is never silent: an adapter that receives its own requests (switch its echo off), "
+    "the port of a device that sends by itself (an Arduino, a GPS), or noise (cable, ground, "
+    "termination)"
 )
 
 #: Share of `reply_timeout_min` that is added to wire time and adapter latency for the silence that

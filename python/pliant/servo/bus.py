@@ -24,7 +24,7 @@ from pliant._core import (
 from pliant.drive import Clock, ServoStatus
 from pliant.servo import _enable as sequences
 from pliant.servo._device import Device
-from pliant.servo._handshake import ServoInfo, identify
+from pliant.servo._handshake import ServoInfo, identify, other_ids
 from pliant.servo._port import Port, StatusPoller
 from pliant.servo._transactions import check_reply_timeout
 from pliant.servo.spec import ServoSpec, check_specs, servos_from_units
@@ -350,6 +350,32 @@ class ServoBus(BusCycle):
     def gains(self) -> dict[str, int]:
         """Gain register of each joint's first servo as read at open, by joint name."""
         return {s.name: joint[0].gain for s, joint in zip(self.specs, self._joints, strict=True)}
+
+    @property
+    def goal_ranges(self) -> dict[str, tuple[float, float]]:
+        """Smallest and largest goal [rad] that the first servo of a joint accepts, by joint name.
+
+        Multi-turn servos are left out.
+        """
+        return {
+            first.spec.name: (min(ends), max(ends))
+            for first, *_ in self._joints
+            if not first.multi_turn
+            for ends in [(first.angle(first.low), first.angle(first.high))]
+        }
+
+    def other_ids(self) -> dict[str, list[int]]:
+        """Ping the ids up to 20 that no joint has; return those that answer, by path of the port.
+
+        Raises:
+            BusError: A port is gone.
+        """
+        self._check_open()
+        found = {}
+        for port in self._ports:
+            port.guard.start_cycle()
+            found[port.path] = other_ids(port)
+        return found
 
     @property
     def overload(self) -> Array:

@@ -56,6 +56,8 @@ _COMMON = {
     "temperature": Register(146, 1),
 }
 
+#: Register Startup Configuration. Older firmware lacks it, and may reject reads that contain it.
+STARTUP = Block(60, 1)
 #: Blocks with position, speed and load; the control tables have no gap in these addresses.
 READ = nested_blocks(Block(126, 10), Block(104, 43))
 
