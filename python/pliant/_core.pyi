@@ -767,8 +767,8 @@ class Servos:
             or `"pwm"`, with which the available torque decreases with speed.
         no_load_speed: Speed without load [rad/s]; required for `"pwm"`.
         stiffness_known: True if `kp` is known within 10 %, and friction and damping are measured;
-            if False, half of their feed-forward follows the velocity of the reference instead of
-            the measured velocity.
+            if False, half of their feed-forward follows the reference and the law's torque instead
+            of the measured velocity.
 
     Raises:
         ConfigError, OutOfRangeError, ShapeError: A field is missing, unknown or invalid.

@@ -39,6 +39,7 @@ def arm_over_bytes(
     *,
     zero=None,
     wrong_sign=None,
+    wrong_ids=None,
     patience=0.1,
     timing=None,
     **options,
@@ -58,7 +59,7 @@ def arm_over_bytes(
             ServoSpec(
                 name=n,
                 model=model or device,
-                id=k,
+                id=(wrong_ids or {}).get(n, k),
                 port=bus.port,
                 zero=(zero or {}).get(n),
                 sign=-1 if n == wrong_sign else 1,
@@ -705,6 +706,33 @@ def test_a_wrong_sign_is_found_as_torque_comes_on(joint):
     assert arm.detour.startswith(f"torque did not hold {joint} by -0.1")
     assert max(heights) < heights[0] + 0.002
     assert heights[-1] < height
+
+
+def test_a_joint_with_the_id_of_another_servo_is_named_and_not_swung_to_the_rest_pose(monkeypatch):
+    """The elbow and the gripper have each other's ids in the file."""
+    start, heights, texts = [0.0, -0.6, 0.6, 0.6, 0.0], [], []
+    options = {
+        "plant": {"scene": [Tabletop(height=0.0)]},
+        "wrong_ids": {"elbow_flex": 6, "gripper": 3},
+        "rest_q": [0.0, -1.74, 1.57, 0.85, 0.0],
+        "table": 0.0,
+    }
+    monkeypatch.setattr(MESSAGES, "post", lambda text, *_, **__: texts.append(text))
+    with arm_over_bytes("sts", start, **options) as (bus, arm):
+        step = bus.world.physics.step
+
+        def watch(count):
+            step(count)
+            heights.append(bus.plant.tool[2, 3])
+
+        bus.world.physics.step = watch
+        arm.enable()
+        arm.lower()
+        arm.close()
+        bus.world.physics.step = step
+    assert any("elbow_flex: no weight on the servo" in text for text in texts)
+    assert arm.detour.startswith("elbow_flex: no weight on the servo")
+    assert max(heights) < heights[0] + 0.005  # 0.017 m on the way to the rest pose
 
 
 @pytest.mark.parametrize("answers", [True, False])

@@ -33,6 +33,10 @@ FIRST_LEAD, LARGEST_LEAD = 0.03, 0.8
 MAX_DISPLACEMENT = 0.15
 #: Ratio of measured to assumed servo stiffness, or inverse ratio, above which the user is warned.
 MISMATCH = 1.5
+#: Weight over friction of a joint above which its motion and its lead tell about the weight.
+CLEAR_WEIGHT = 3.0
+#: Lead of a joint, as a share of the lead that its weight needs, below which it carries none of it.
+LEAST_SHARE = 0.1
 #: Gravity torque over usable torque of a joint above which torque stays off: servos at full torque
 #: would throw an arm upward that is so much lighter than its model.
 LARGEST_WEIGHT = 2.0
@@ -208,6 +212,29 @@ def displacement(io: ArmIO, start_q: Array) -> str | None:
     return f"torque did not hold {', '.join(found)}" if found else None
 
 
+def unloaded(io: ArmIO, leads: Array) -> str | None:
+    """Return which joints carry none of their weight, or None, for an arm away from all objects.
+
+    A joint with a clear weight does if it has no lead, or less than `LEAST_SHARE` of the expected
+    one. The encoder must resolve this share.
+
+    Args:
+        io: Read access to the arm, at rest.
+        leads: Leads that hold the joints, from `transfer_weight` (n,) [rad].
+    """
+    servos, weight = io.servos, io.gravity()
+    least = LEAST_SHARE * np.abs(weight) / np.asarray(servos.kp)
+    clear = np.abs(weight) > CLEAR_WEIGHT * np.asarray(servos.friction)
+    resolved = (np.abs(leads) < least) & (least > np.asarray(servos.encoder_step))
+    found = np.flatnonzero(clear & (np.isnan(leads) | resolved))
+    if not found.size:
+        return None
+    return (
+        f"{', '.join(io.model.joint_names[i] for i in found)}: no weight on the servo. A hand or "
+        "an object carries it, or its id is that of another servo"
+    )
+
+
 def may_lie_on(table: float | None, points: ArmPoints, q: Array) -> bool:
     """Return True if a point of the arm at q (n,) [rad] is within `LINK_RADIUS` of the table.
 
@@ -232,7 +259,9 @@ def stiffness_mismatch(io: ArmIO, leads: Array, *, is_supported: bool = False) -
     servos, weight = io.servos, io.gravity()
     expected = weight / np.asarray(servos.kp)
     smallest = np.maximum(3.0 * np.asarray(servos.encoder_step), 0.02 * np.abs(expected))
-    clear = (np.abs(weight) > 3.0 * np.asarray(servos.friction)) & (np.abs(leads) > smallest)
+    clear = (np.abs(weight) > CLEAR_WEIGHT * np.asarray(servos.friction)) & (
+        np.abs(leads) > smallest
+    )
     with np.errstate(invalid="ignore", divide="ignore"):
         ratio = expected / leads
     differs = clear & np.isfinite(ratio) & ((ratio > MISMATCH) | (ratio < 1.0 / MISMATCH))
@@ -251,7 +280,7 @@ def stiffness_mismatch(io: ArmIO, leads: Array, *, is_supported: bool = False) -
         return reversed_leads
     return (f"{reversed_leads}; " if wrong else "") + (
         f"servos are stiffer or softer than their table, or weights or zeros are wrong: "
-        f"{', '.join(found)} the assumed k_p; forces are wrong by as much: "
+        f"{', '.join(found)} the assumed k_p; forces are wrong by up to as much: "
         "pliant.identify.identify_servos(arm, model) measures k_p, controller.set_payload(...) "
         "sets a load"
     )

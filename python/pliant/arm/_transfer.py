@@ -15,7 +15,7 @@ import numpy as np
 
 from pliant._core import SUPPORT, ServoError, ServoFaultError, ServoTimeoutError, torque_margin
 from pliant.arm._io import RAMP_TIME
-from pliant.arm._startup import LEAD_FACTOR, full_lead
+from pliant.arm._startup import CLEAR_WEIGHT, LEAD_FACTOR, full_lead
 
 if TYPE_CHECKING:
     from pliant._core import ArmPoints
@@ -103,9 +103,8 @@ STALE, MAX_SILENCE = 0.03, 0.5
 NO_GOALS = 0.08
 #: Assumed time constant with which these goals brake the joints [s].
 BRAKE_TIME = 0.03
-#: Weight over friction of a joint whose direction of motion tells whether its sign is right, and
-#: its motion against the weight [rad] with which the transfer ends.
-CLEAR_WEIGHT, AGAINST_WEIGHT = 3.0, 0.15
+#: Motion of a joint against a clear weight with which the transfer ends [rad].
+AGAINST_WEIGHT = 0.15
 
 
 def transfer_weight(

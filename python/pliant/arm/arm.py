@@ -35,6 +35,7 @@ from pliant.arm._startup import (
     initial_commands,
     may_lie_on,
     stiffness_mismatch,
+    unloaded,
     wait_for_all,
 )
 from pliant.arm._supervisor import Supervisor
@@ -166,7 +167,7 @@ class Arm:
         self._opened = False
         self.leads: Array = np.full(model.n, np.nan)
         #: Joints that torque did not hold when it came on, as a text; None if there is none.
-        self._displacement: str | None = None
+        self._doubt: str | None = None
         # Positions at which the leads were measured (n,) [rad].
         self._leads_q: Array = np.zeros(model.n)
 
@@ -269,7 +270,7 @@ class Arm:
         try:
             self.leads = transfer_weight(io, self._points, start_q, carried, self.rate)
         finally:
-            self._displacement = displacement(io, start_q)
+            self._doubt = displacement(io, start_q)
         self._leads_q = io.q.copy()
         if self.servos.stiffness_known and not io.servos.stiffness_known:
             self.servos, self.model = io.servos, self.model.with_servos(io.servos)
@@ -278,11 +279,15 @@ class Arm:
         mismatch = io.watch_supply() or stiffness_mismatch(
             io, self.leads, is_supported=is_supported
         )
-        displaced = self._displacement and (
-            f"{self._displacement}: signs or zeros are wrong (`pliant servos doctor ARM --watch`), "
+        displaced = self._doubt and (
+            f"{self._doubt}: signs or zeros are wrong (`pliant servos doctor ARM --watch`), "
             "a load is too heavy, or a hand pushed the arm"
         )
-        for text in filter(None, (displaced, mismatch)):
+        light = None
+        if self.table is not None and not is_supported:
+            light = unloaded(io, self.leads)
+            self._doubt = self._doubt or light
+        for text in filter(None, (displaced, light, mismatch)):
             MESSAGES.post(text, logging.WARNING)
         self._set_watchdog()
         self._supervisor.heartbeat[1] = 0.0
@@ -540,13 +545,14 @@ class Arm:
     def _reachable(self, rest: Array | None) -> Array | None:
         """Return `rest` if the path to it is safe; else set `detour`, and return None.
 
-        The path is safe if it is clear of the table, and torque held all joints when it came on:
-        otherwise a sign or zero may be wrong, and the real arm would take another path.
+        The path is safe if it is clear of the table, and torque held all joints with their weights
+        when it came on: otherwise a sign, a zero or an id may be wrong, and the real arm would take
+        another path.
         """
         self.detour = None
         if rest is None:
             return None
-        self.detour = self._displacement or path_obstacle(
+        self.detour = self._doubt or path_obstacle(
             self.model, self._points, self._io.q, rest, self.table
         )
         return rest if self.detour is None else None

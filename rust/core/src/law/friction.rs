@@ -47,7 +47,23 @@ pub(crate) fn feed_forward<J: JointVector>(
     J::fma(per_load * direction, J::abs(load), J::fma(dry, direction, damping))
 }
 
-/// Share of the feed-forward of estimated friction and damping that follows the measured velocity; the rest follows that
-/// of the reference. The torque of the servos may be twice the requested one, or the friction half the estimate: the
-/// whole feed-forward would drive joints that move, and the arm would oscillate.
+/// Share of the feed-forward of estimated friction and damping that follows the measured velocity; the rest follows the
+/// reference and, at rest, the law's torque. The torque of the servos may be twice the requested one, or the friction
+/// half the estimate: the whole feed-forward would drive joints that move, and the arm would oscillate.
 pub(crate) const MEASURED_SHARE: f64 = 0.5;
+
+/// Joint speed at which the feed-forward for joints at rest has faded to a half [rad/s].
+const BREAKAWAY_SPEED: f64 = 0.1;
+/// Largest ratio of a torque to the friction in [`breakaway`]: its tanh is 1, and a joint without friction has none.
+const MAX_RATIO: f64 = 20.0;
+
+/// Returns the joint speeds [rad/s] toward which friction is compensated on joints that the law drives with the torque
+/// `drive` [N·m] at the velocity v: `v₀ drive/τ_f / (1 + (v/0.1 rad/s)²)`. The law's torque has the sign of the deviation,
+/// so it starts a joint that sticks, but adds no energy to one that oscillates.
+#[inline(always)]
+pub(crate) fn breakaway<J: JointVector>(v: J, drive: J, servos: &ServoArrays, friction_gains: FrictionGains) -> J {
+    let (one, friction) = (J::splat(1.0), J::load(&servos.friction));
+    let ratio = drive / J::max(friction, J::splat(f64::MIN_POSITIVE));
+    let x = v * J::splat(1.0 / BREAKAWAY_SPEED);
+    J::clamp_abs(ratio, J::splat(MAX_RATIO)) * J::splat(friction_gains.speed) / J::fma(x, x, one)
+}

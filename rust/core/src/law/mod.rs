@@ -13,7 +13,7 @@ pub(crate) mod scaling;
 pub(crate) mod singularity;
 pub(crate) mod wrench;
 
-use crate::law::friction::{FrictionGains, MEASURED_SHARE, feed_forward};
+use crate::law::friction::{FrictionGains, MEASURED_SHARE, breakaway, feed_forward};
 use crate::law::nullspace::NullSpace;
 use crate::law::overspeed::Overspeed;
 use crate::law::singularity::SingularityState;
@@ -234,17 +234,20 @@ impl<J: JointVector> LawInput<'_, J> {
         (stiffness * self.pacing.displacement, along * J::load(&self.params.servos.compliance))
     }
 
-    /// Returns the feed-forward of friction and damping [N·m] of joints that carry the torque `load` [N·m]. The direction
-    /// of friction is that of the joint velocity plus `ahead` [rad/s], because a joint at rest has no direction. Of
-    /// estimated friction and damping, a share is that of `ahead` alone, see [`MEASURED_SHARE`].
+    /// Returns the feed-forward of friction and damping [N·m] of joints that the law drives with the torque `drive` [N·m].
+    /// The direction of friction is that of the joint velocity plus `ahead` [rad/s], because a joint at rest has no
+    /// direction. Of estimated friction and damping, a share does not depend on the velocity of joints that move, see
+    /// [`MEASURED_SHARE`].
     #[inline(always)]
-    pub(crate) fn feed_forward(&self, ahead: J, load: J) -> J {
+    pub(crate) fn feed_forward(&self, ahead: J, drive: J) -> J {
         let (servos, gains) = (&self.params.servos, self.friction_gains);
+        let load = J::clamp_abs(self.gravity + drive, J::load(&servos.torque));
         let whole = feed_forward([self.velocity, self.velocity + ahead], load, servos, gains);
         if !servos.estimated {
             return whole;
         }
-        let planned = feed_forward([ahead, ahead], load, servos, gains);
+        let toward = ahead + breakaway(self.velocity, drive, servos, gains);
+        let planned = feed_forward([ahead, toward], load, servos, gains);
         J::fma(J::splat(MEASURED_SHARE), whole - planned, planned)
     }
 

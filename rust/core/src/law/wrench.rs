@@ -68,7 +68,7 @@ impl<J: JointVector> LawInput<'_, J> {
         // Usable torques: reduce the soft part first, then the stiff part; never gravity.
         let soft = tr_mul(self.rows, &wrench.soft.to_axes());
         let stiff = tr_mul(self.rows, &wrench.stiff.to_axes());
-        let feed_forward = self.feed_forward(demand.ahead, J::clamp_abs(self.gravity + soft + stiff, torque));
+        let feed_forward = self.feed_forward(demand.ahead, soft + stiff);
         let base = J::fma(kp, null + self.integral, self.gravity + feed_forward);
         let [soft_torque, stiff_torque] = scale_to_fit(base, [soft, stiff], torque);
         // Joint speeds: reduce the null-space part first, then the soft, then the stiff part.

@@ -51,7 +51,7 @@ pub struct Servos {
     /// No-load speed [rad/s] > 0, required for [`LimitType::Pwm`].
     pub no_load_speed: Option<Vec<f64>>,
     /// True if `kp` is known within 10 %, by identification or measurement, and friction and damping are measured too. If
-    /// false, half of their feed-forward follows the velocity of the reference instead of the measured velocity.
+    /// false, half of their feed-forward follows the reference and the law's torque instead of the measured velocity.
     pub stiffness_known: bool,
 }
 
