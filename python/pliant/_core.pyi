@@ -767,8 +767,8 @@ class Servos:
             or `"pwm"`, with which the available torque decreases with speed.
         no_load_speed: Speed without load [rad/s]; required for `"pwm"`.
         stiffness_known: True if `kp` is known within 10 %, and friction and damping are measured;
-            if False, half of their feed-forward follows the reference and the law's torque instead
-            of the measured velocity.
+            if False, half of their feed-forward needs an opposing force of a yielding axis, or a
+            moving reference of a stiff one.
 
     Raises:
         ConfigError, OutOfRangeError, ShapeError: A field is missing, unknown or invalid.
@@ -1721,7 +1721,7 @@ class AxisReport:
 
     @property
     def friction_left(self) -> float:
-        """Friction in motion, with the reference at rest, that is not compensated [N, N·m].
+        """Friction along the axis in motion that the feed-forward does not compensate [N, N·m].
 
         The axis keeps moving only if its strength exceeds this friction.
         """

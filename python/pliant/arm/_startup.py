@@ -215,12 +215,7 @@ def displacement(io: ArmIO, start_q: Array) -> str | None:
 def unloaded(io: ArmIO, leads: Array) -> str | None:
     """Return which joints carry none of their weight, or None, for an arm away from all objects.
 
-    A joint with a clear weight does if it has no lead, or less than `LEAST_SHARE` of the expected
-    one. The encoder must resolve this share.
-
-    Args:
-        io: Read access to the arm, at rest.
-        leads: Leads that hold the joints, from `transfer_weight` (n,) [rad].
+    Their `leads` (n,) [rad] are NaN, or below `LEAST_SHARE` of those that they need.
     """
     servos, weight = io.servos, io.gravity()
     least = LEAST_SHARE * np.abs(weight) / np.asarray(servos.kp)

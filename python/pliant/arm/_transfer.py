@@ -241,6 +241,8 @@ class _WeightTransfer:
             self._heard - io.delay(self._heard), self._assumed_step
         )
         self._x, self._v = np.zeros(start_q.size), np.zeros(start_q.size)
+        # Time for which the leads of a known stiffness have held the joints [s].
+        self._tried = 0.0
         # Leads that were found to hold the joints (n,) [rad]; NaN before.
         self._found = np.full(start_q.size, np.nan)
 
@@ -405,7 +407,7 @@ class _WeightTransfer:
         io, weight = self._io, self._weight
         if not self._taken.all():
             if io.servos.stiffness_known and not self._holds():
-                io.servos = io.servos.replace(stiffness_known=False)
+                io.servos, self._tried = io.servos.replace(stiffness_known=False), 0.0
                 self._observer.d = WEIGHT_SHARE * self._observer.d
             weight = weight if io.servos.stiffness_known else self._balance()
         return self._shrink(weight)
@@ -414,10 +416,12 @@ class _WeightTransfer:
         """Try the leads of the assumed stiffness; return False as soon as a joint moves."""
         limit = np.abs(self._weight) + torque_margin(self._io.servos, self._weight)
         limit = np.minimum(limit, self._usable)
-        lead, passed = self._weight / self._kp, 0.0
-        while passed < TRIAL_TIME or (np.abs(self._v).max() > STILL_SPEED and passed < MAX_BALANCE):
+        lead = self._weight / self._kp
+        while self._tried < TRIAL_TIME or (
+            np.abs(self._v).max() > STILL_SPEED and self._tried < MAX_BALANCE
+        ):
             self._apply(self._start + lead, self._weight, limit)
-            passed += self._step()
+            self._tried += self._step()
             self._control()
             risen = (self._io.q - self._start) * np.sign(self._weight)
             least = np.maximum(TRIAL_STEPS * self._observer.step, TRIAL_SHARE * np.abs(lead))
@@ -449,7 +453,7 @@ class _WeightTransfer:
             found = lead
         carrying, late = lead, np.zeros(start_q.size, dtype=bool)
         more, pull, waited = np.zeros((3, start_q.size))
-        before, mean, passed = io.q, io.q, 0.0
+        before, mean, passed = io.q, io.q, self._tried
         while True:
             dt = self._step()
             passed += dt

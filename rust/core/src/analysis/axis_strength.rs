@@ -6,7 +6,7 @@ use crate::controller::Diagnostics;
 use crate::kinematics::statics::static_force;
 use crate::law::AxisPush;
 use crate::law::activation::Activation;
-use crate::law::friction::MEASURED_SHARE;
+use crate::law::friction::UNOPPOSED_SHARE;
 use crate::law::nullspace::projector_damping_sq;
 use crate::math::ldlt6::pseudo_inverse;
 use crate::math::rows::{load_rows, store_rows, tr_mul};
@@ -54,14 +54,17 @@ impl<'a> StepAnalysis<'a> {
         out
     }
 
-    /// Returns the part [N, N·m] of the `friction` along an axis that the feed-forward does not compensate while the
-    /// reference is at rest; all of it under law `paper`, which has no feed-forward.
-    pub(super) fn friction_left(&self, friction: f64) -> f64 {
+    /// Returns the part [N, N·m] of the `friction` along axis `row` that the feed-forward does not compensate; all of it
+    /// under law `paper`, which has no feed-forward. If friction is only estimated, the part beyond a fixed share is
+    /// compensated at most up to the strength of the axis ([`OpposedMotion`](crate::law::friction::OpposedMotion)).
+    pub(super) fn friction_left(&self, row: usize, friction: f64) -> f64 {
         if !self.params.law.by_force() {
             return friction;
         }
-        let share = if self.params.servos.estimated { MEASURED_SHARE } else { 1.0 };
-        friction * (1.0 - share * (self.settings.compensation.friction * self.record.gamma).min(1.0))
+        let compensated = friction * (self.settings.compensation.friction * self.record.gamma).min(1.0);
+        let opposed = (1.0 - UNOPPOSED_SHARE) * compensated;
+        let excess = if self.params.servos.estimated { opposed - self.record.axis_strength[row] } else { 0.0 };
+        friction - compensated + excess.max(0.0)
     }
 
     /// Returns the two forces [N, N·m] at which axis `row`, pushed toward `side` (0: −, 1: +), yields: at the

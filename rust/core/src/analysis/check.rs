@@ -143,7 +143,7 @@ pub fn check_path(controller: &Controller, path: &[Vec<f64>]) -> Result<Feasibil
                     near[r][side] = (worst, Some((stop.joint, pose.full_cap_deviation(r, side))));
                 }
             }
-            friction_left[r].update(pose.friction_left(friction[r]), index);
+            friction_left[r].update(pose.friction_left(r, friction[r]), index);
         }
         for i in 0..n {
             weight[i].update(record.gravity[i].abs() - torque[i], index);

@@ -78,8 +78,9 @@ pub struct AxisReport {
     /// Static friction of the joints along the axis, `Σ_i |J⁺_ij| τ_f,i`. A push from rest must overcome it in addition
     /// to `yield_force`.
     pub friction: f64,
-    /// Friction along the axis that the feed-forward does not compensate in steady motion, with the reference at rest.
-    /// The axis keeps moving only if its strength exceeds it.
+    /// Friction along the axis in steady motion that the feed-forward does not compensate. The axis keeps moving only
+    /// if its strength exceeds it. Without `stiffness_known`, more than half of the friction is compensated only up to
+    /// the strength of the axis.
     pub friction_left: f64,
     /// Force against a push toward (−, +) that remains if the strength of the axis is 0, because the other axes raise
     /// the torque limits of the same joints.
@@ -193,7 +194,7 @@ fn build_report(controller: &Controller) -> PoseReport {
             yield_force: [0, 1].map(|side| pose.yield_forces_at(row, side)),
             thresholds: [axis_params.soft_until, axis_params.firm_from].map(|d| d / (1.0 - axis_params.eta)),
             friction: friction[row],
-            friction_left: pose.friction_left(friction[row]),
+            friction_left: pose.friction_left(row, friction[row]),
             coupling: coupling.map(|(force, _)| force),
             coupled_to: coupling.map(|(_, with)| with.map(|other| AXIS_NAMES[params.axes[other]])),
             hold: axis_params.hold,

@@ -13,7 +13,7 @@ pub(crate) mod scaling;
 pub(crate) mod singularity;
 pub(crate) mod wrench;
 
-use crate::law::friction::{FrictionGains, MEASURED_SHARE, breakaway, feed_forward};
+use crate::law::friction::{FrictionFeedForward, FrictionGains, OpposedMotion};
 use crate::law::nullspace::NullSpace;
 use crate::law::overspeed::Overspeed;
 use crate::law::singularity::SingularityState;
@@ -234,21 +234,26 @@ impl<J: JointVector> LawInput<'_, J> {
         (stiffness * self.pacing.displacement, along * J::load(&self.params.servos.compliance))
     }
 
-    /// Returns the feed-forward of friction and damping [N·m] of joints that the law drives with the torque `drive` [N·m].
-    /// The direction of friction is that of the joint velocity plus `ahead` [rad/s], because a joint at rest has no
-    /// direction. Of estimated friction and damping, a share does not depend on the velocity of joints that move, see
-    /// [`MEASURED_SHARE`].
+    /// Returns the feed-forward of friction and damping. The direction of friction is that of the joint velocity plus
+    /// `ahead` [rad/s], because a joint at rest has no direction.
     #[inline(always)]
-    pub(crate) fn feed_forward(&self, ahead: J, drive: J) -> J {
-        let (servos, gains) = (&self.params.servos, self.friction_gains);
-        let load = J::clamp_abs(self.gravity + drive, J::load(&servos.torque));
-        let whole = feed_forward([self.velocity, self.velocity + ahead], load, servos, gains);
-        if !servos.estimated {
-            return whole;
+    pub(crate) fn friction(&self, ahead: J) -> FrictionFeedForward<J> {
+        FrictionFeedForward::new([self.velocity, self.velocity + ahead], &self.params.servos, self.friction_gains)
+    }
+
+    /// Returns the motion at the joint velocity plus `ahead` [rad/s], the joint speeds at the velocity of the reference,
+    /// and the power of the law along each axis; `soft` is the wrench of the yielding axes [N, N·m].
+    #[inline(always)]
+    pub(crate) fn opposed_motion(&self, ahead: J, soft: J::Axes) -> OpposedMotion<J> {
+        let (joints, demand) = (self.velocity + ahead, self.demand);
+        let axes = J::Axes::from_axes(&mul(self.rows, joints));
+        let hold = demand.max_strength - demand.softness * demand.strength;
+        OpposedMotion {
+            joints,
+            axes,
+            row_scale: J::Axes::from_axes(&self.params.row_scale),
+            power: J::Axes::fma(J::Axes::abs(soft), J::Axes::abs(axes), hold * J::Axes::abs(self.pacing.velocity)),
         }
-        let toward = ahead + breakaway(self.velocity, drive, servos, gains);
-        let planned = feed_forward([ahead, toward], load, servos, gains);
-        J::fma(J::splat(MEASURED_SHARE), whole - planned, planned)
     }
 
     /// Returns the null-space projector that the settings select.

@@ -63,12 +63,16 @@ impl<J: JointVector> LawInput<'_, J> {
             wrench = Wrench { soft: overspeed.limit(wrench.soft), stiff: overspeed.limit(wrench.stiff) };
         }
         let null = self.bound_null(self.null_motion(demand.null_stiffness));
+        let friction = self.friction(demand.ahead);
         let (kp, compliance, torque) = (J::load(&servos.kp), J::load(&servos.compliance), J::load(&servos.torque));
 
         // Usable torques: reduce the soft part first, then the stiff part; never gravity.
         let soft = tr_mul(self.rows, &wrench.soft.to_axes());
         let stiff = tr_mul(self.rows, &wrench.stiff.to_axes());
-        let feed_forward = self.feed_forward(demand.ahead, soft + stiff);
+        let mut feed_forward = friction.at_load(J::clamp_abs(self.gravity + soft + stiff, torque));
+        if servos.estimated {
+            feed_forward = feed_forward * J::splat(self.opposed_motion(demand.ahead, wrench.soft).share(feed_forward));
+        }
         let base = J::fma(kp, null + self.integral, self.gravity + feed_forward);
         let [soft_torque, stiff_torque] = scale_to_fit(base, [soft, stiff], torque);
         // Joint speeds: reduce the null-space part first, then the soft, then the stiff part.

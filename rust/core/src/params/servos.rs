@@ -51,7 +51,8 @@ pub struct Servos {
     /// No-load speed [rad/s] > 0, required for [`LimitType::Pwm`].
     pub no_load_speed: Option<Vec<f64>>,
     /// True if `kp` is known within 10 %, by identification or measurement, and friction and damping are measured too. If
-    /// false, half of their feed-forward follows the reference and the law's torque instead of the measured velocity.
+    /// false, half of their feed-forward is exerted only as far as a force of a yielding axis opposes the motion, or the
+    /// reference of a stiff axis moves.
     pub stiffness_known: bool,
 }
 

@@ -24,16 +24,12 @@ pub(super) struct LawInput<'a> {
     pub(super) stiffness: &'a Vector,
     /// Damping of each row [N·s/m, N·m·s/rad].
     pub(super) viscosity: &'a Vector,
+    /// Joint velocity [rad/s].
+    pub(super) velocity: &'a Vector,
     /// Velocity of the target minus that of the tool [m/s, rad/s].
     pub(super) relative: &'a Vector,
     pub(super) gradient: &'a Vector,
     pub(super) in_goal: &'a Vector,
-    /// Joint velocity [rad/s].
-    pub(super) velocity: &'a Vector,
-    /// Dry friction [N·m].
-    pub(super) friction: &'a Vector,
-    /// Compensated friction of each joint at rest, without load [N·m] and per load torque [1].
-    pub(super) at_rest: &'a [Vector; 2],
     /// Feed-forward of each joint without load [N·m].
     pub(super) idle: &'a Vector,
     /// Additional feed-forward of each joint per load torque [1].
@@ -202,18 +198,7 @@ impl LawInput<'_> {
         let ceiling = self.oracle.ceiling();
         let (tau_soft, tau_stiff) = (self.rows.transpose() * soft, self.rows.transpose() * stiff);
         let snapshot = (self.in_goal + &tau_soft + &tau_stiff).zip_map(&ceiling, |torque, max| torque.abs().min(max));
-        let mut feed_forward = self.idle + self.loaded.component_mul(&snapshot);
-        if !self.is_known() {
-            // The reference is at rest: without speed limits it is the target.
-            let [unloaded, per_load] = self.at_rest;
-            let planned = Vector::from_fn(n, |i, _| {
-                let drive = tau_soft[i] + tau_stiff[i];
-                let ratio = if drive == 0.0 { 0.0 } else { (drive / self.friction[i]).clamp(-20.0, 20.0) };
-                let fade = 1.0 + (self.velocity[i] / 0.1).powi(2);
-                (unloaded[i] + per_load[i] * snapshot[i]) * (ratio / fade).tanh()
-            });
-            feed_forward = (feed_forward + planned) * 0.5;
-        }
+        let feed_forward = self.within_opposition(self.idle + self.loaded.component_mul(&snapshot), soft);
         let base = self.in_goal + &feed_forward + kp.component_mul(&null);
         let (mut f_soft, mut f_stiff) = (1.0, 1.0);
         if past_limit(&(&base + &tau_soft + &tau_stiff), &ceiling) {
@@ -235,6 +220,23 @@ impl LawInput<'_> {
             factors: [f_null, f_soft * g_soft, f_stiff * g_stiff],
             derating: 1.0,
         }
+    }
+
+    /// Returns the feed-forward; of estimated friction and damping, the half that may be too much is reduced to what
+    /// the axes oppose, each for its share of the tool's velocity.
+    fn within_opposition(&self, feed_forward: Vector, soft: &Vector) -> Vector {
+        if self.is_known() {
+            return feed_forward;
+        }
+        let uncertain = 0.5 * feed_forward.component_mul(self.velocity).abs().sum();
+        let (speed, scaled) = ((self.rows * self.velocity).abs(), (self.scaled * self.velocity).abs());
+        let opposed: f64 = (0..self.k())
+            .map(|r| {
+                // The reference is at rest, so the hold of stiff axes has no power.
+                (uncertain * scaled[r] / scaled.sum()).min(soft[r].abs() * speed[r])
+            })
+            .sum();
+        feed_forward * if uncertain > 0.0 { 0.5 + 0.5 * opposed / uncertain } else { 1.0 }
     }
 
     fn is_known(&self) -> bool {

@@ -171,8 +171,6 @@ impl Oracle {
             on * (dry + settings.compensation.damping * resistance[i] * velocity[i])
         });
         let loaded = Vector::from_fn(n, |i, _| on * (per_load[i] + fading(i) * per_load_at_rest[i]) * way(i));
-        let share = on * settings.compensation.friction;
-        let at_rest = [(&friction + &stribeck) * share, (&per_load + &per_load_at_rest) * share];
         let in_goal = if settings.gravity_use() == pliant_core::params::GravityUse::Both
             || settings.gravity_use() == pliant_core::params::GravityUse::Goal
         {
@@ -205,12 +203,10 @@ impl Oracle {
             adapted: &adapted,
             stiffness: &stiffness,
             viscosity: &viscosity,
+            velocity: &velocity,
             relative: &relative,
             gradient: &gradient,
             in_goal: &in_goal,
-            velocity: &velocity,
-            friction: &friction,
-            at_rest: &at_rest,
             idle: &idle,
             loaded: &loaded,
         };
