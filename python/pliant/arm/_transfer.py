@@ -28,19 +28,17 @@ LOOP_RATE = 250.0
 #: The balance begins once the tool has sunk by `SINK` or risen by `RISE` [m], each plus half an
 #: encoder step of the joint that moves the tool most.
 SINK, RISE = 0.0003, 0.005
-#: First value and bounds of the estimated load at the tool [kg]. Time constants of this estimate
-#: while it increases and while it decreases [s]: a load must be found fast, before the arm falls.
+#: First value and bounds of the estimated load at the tool [kg], and time constants of this
+#: estimate as it increases and decreases [s].
 FIRST_LOAD, LEAST_LOAD, LARGEST_LOAD, LOAD_TIME, UNLOAD_TIME = 0.1, 0.02, 0.5, 0.02, 0.15
 #: Lower bound of the norm of the joint torques that hold 1 kg at the tool, in the estimate of the
 #: load [N·m].
 MIN_WEIGHT = 0.1
-#: The leads of a known stiffness are tried for `TRIAL_TIME` [s], and longer while joints are faster
-#: than `STILL_SPEED`, up to `MAX_BALANCE`. They do not hold the arm if a joint
-#: rises by `TRIAL_RISE` or sinks by `TRIAL_SINK` [rad], or by `TRIAL_STEPS` encoder steps or
-#: `TRIAL_SHARE` of its lead if these are larger: a known stiffness is known within 10 %.
+#: Shortest trial of the leads of a known stiffness [s]. They do not hold the arm if a joint rises
+#: by `TRIAL_RISE` or sinks by `TRIAL_SINK` [rad], or by `TRIAL_STEPS` encoder steps or
+#: `TRIAL_SHARE` of its lead if these are larger.
 TRIAL_TIME, TRIAL_RISE, TRIAL_SINK, TRIAL_STEPS, TRIAL_SHARE = 0.15, 0.004, 0.008, 2.5, 0.1
-#: Share of the observed disturbance that is ascribed to the weight if these leads do not hold the
-#: arm; the rest is ascribed to the stiffness.
+#: Share of the disturbance that is then ascribed to the weight, not to the stiffness.
 WEIGHT_SHARE = 0.5
 #: The observer pole is `POLE_DELAY` over the delay of the loop, at most `MAX_POLE` [1/s].
 POLE_DELAY, MAX_POLE = 1.0, 45.0

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from pliant._core import ArmPoints, Controller, PliantError, ServoError
-from pliant.arm._checks import SLACK, check_rest, outside, posture, setting
+from pliant.arm._checks import check_rest, outside, posture, setting
 from pliant.config import factory
 from pliant.config._toml import toml_key
 from pliant.config.schema import servos, zeros
@@ -92,7 +92,6 @@ def examine(config: Config) -> Iterator[Diagnosis]:
     try:
         yield from _servos(drive.found)
         yield from _gains(drive, config)
-        yield from _goal_ranges(drive, model)
         yield from _sense(drive, model)
         yield _cycle(drive, config)
         yield from _other_servos(drive)
@@ -234,21 +233,6 @@ def _other_servos(chain: ServoBus) -> Iterator[Diagnosis]:
                 f"{', '.join(map(str, ids))} on {path}: servos that the file does not name, so "
                 "they stay without torque. They are of another arm, or a joint has the wrong id in "
                 "the file: compare with `pliant servos doctor ARM --watch`",
-            )
-
-
-def _goal_ranges(chain: ServoBus, model: Model) -> Iterator[Diagnosis]:
-    """Report servos whose registers cut goals within the position limits of their joints."""
-    ranges = chain.goal_ranges
-    for name, low, high in zip(model.joint_names, model.lower, model.upper, strict=True):
-        lowest, highest = ranges.get(name, (low, high))
-        if lowest > low + SLACK or highest < high - SLACK:
-            yield Diagnosis(
-                "note",
-                name,
-                f"its servo takes goals from {lowest:.2f} to {highest:.2f} rad, the joint's limits "
-                f"are {low:.2f} to {high:.2f}: it stops at the servo's position limits. Calibrate "
-                "it again, or set them with the maker's tool",
             )
 
 

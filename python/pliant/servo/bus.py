@@ -351,19 +351,6 @@ class ServoBus(BusCycle):
         """Gain register of each joint's first servo as read at open, by joint name."""
         return {s.name: joint[0].gain for s, joint in zip(self.specs, self._joints, strict=True)}
 
-    @property
-    def goal_ranges(self) -> dict[str, tuple[float, float]]:
-        """Smallest and largest goal [rad] that the first servo of a joint accepts, by joint name.
-
-        Multi-turn servos are left out.
-        """
-        return {
-            first.spec.name: (min(ends), max(ends))
-            for first, *_ in self._joints
-            if not first.multi_turn
-            for ends in [(first.angle(first.low), first.angle(first.high))]
-        }
-
     def other_ids(self) -> dict[str, list[int]]:
         """Ping the ids up to 20 that no joint has; return those that answer, by path of the port.
 
