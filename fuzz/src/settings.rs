@@ -60,7 +60,7 @@ fn snapshot(input: &mut Input, mut snapshot: Snapshot) -> Snapshot {
     snapshot.delay = input.number(snapshot.delay);
     snapshot.payload = input.option(|input| Payload { mass: input.number(0.2), com: [0.0, input.number(0.1), 0.0] });
     snapshot.payload_ramp = input.option(|input| std::array::from_fn(|_| input.number(0.1)));
-    snapshot.captured = input.option(|input| input.vector(&[0.01; 7]));
+    snapshot.captured = input.option(|input| [input.vector(&[0.01; 7]), input.vector(&[0.0; 7])]);
     snapshot
 }
 

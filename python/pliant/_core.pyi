@@ -2103,6 +2103,10 @@ class Controller:
             ConfigError, OutOfRangeError, ShapeError: As the class; nothing has changed.
         """
 
+    @property
+    def payload(self) -> Payload | None:
+        """Payload of `set_payload`, or else of the model."""
+
     def set_payload(self, mass: float, com: ArrayLike = (0.0, 0.0, 0.0)) -> None:
         """Set the payload: mass [kg], 0 for none; centre of mass (3,) in the tool frame [m].
 

@@ -7,7 +7,7 @@ import math
 import warnings
 from array import array
 from bisect import bisect_right
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from threading import Thread
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -26,6 +26,7 @@ from pliant._core import (
 from pliant._processes import check_real_time_priority, real_time_priority
 from pliant._validation import format_value, real
 from pliant.arm._checks import check_same_robot, join_faults, longest_command_age, vector
+from pliant.arm._startup import unit_load
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -745,18 +746,27 @@ class Loop:
 
 
 def capture_leads(arm: Arm, controller: Any) -> None:
-    """Pass the leads of torque on to a controller, if the stiffness of the servos is not known.
+    """Pass the leads and the load of torque on to a controller, if servo stiffness is not known.
 
-    Its `capture_gravity`, if it has one, derives the gravity offset from the lead (goal minus
-    position) that held each joint when torque was switched on, and from the weight at the positions
-    of that time: the arm may have moved since. For joints without a measured lead, the lead is the
-    gravity torque divided by the assumed stiffness.
+    The load adds to the payload of the model; a payload of the controller's own stays. The
+    controller's `capture_gravity`, if it has one, derives the gravity offset from the lead (goal
+    minus position) that held each joint when torque was switched on, and from the weight at the
+    positions of that time: the arm may have moved since. For joints without a measured lead, the
+    lead is the gravity torque divided by the assumed stiffness.
     """
     capture, leads = getattr(controller, "capture_gravity", None), getattr(arm, "leads", None)
     if capture is None or leads is None or arm.servos.stiffness_known:
         return
-    q = arm._leads_q
-    modelled = np.asarray(arm.model.gravity(q)) / np.asarray(arm.servos.kp)
+    q, own = arm._leads_q, arm.model.payload
+    weight = np.asarray(arm.model.gravity(q))
+    if arm.load > 0.0 and getattr(controller, "payload", arm) == own:
+        mass, moment = (own.mass, own.mass * own.com) if own else (0.0, np.zeros(3))
+        total = mass + arm.load
+        # Refused where the servos cannot hold the load in any posture.
+        with suppress(OutOfRangeError):
+            controller.set_payload(total, moment / total)
+            weight = weight + arm.load * unit_load(arm.model, q)
+    modelled = weight / np.asarray(arm.servos.kp)
     capture(q, q + np.where(np.isfinite(leads), leads, modelled))
 
 

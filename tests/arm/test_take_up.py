@@ -7,6 +7,7 @@ import pytest
 from bare_arm import bare_arm
 
 import pliant
+from pliant import robots
 from pliant._core import SUPPORT
 from pliant.arm._checks import longest_command_age
 from pliant.arm._messages import MESSAGES
@@ -256,6 +257,13 @@ def test_a_descent_waits_for_a_silent_joint_for_a_limited_time():
     assert silent.now() == pytest.approx(UNKNOWN_TIME, abs=0.011)
 
 
+def standing(arm, weight, load=0.0):
+    """Return an arm that stands still and needs the torques `weight` (n,) [N·m], without `load`."""
+    return SimpleNamespace(
+        servos=arm.servos, model=arm.model, q=np.zeros(5), load=load, gravity=lambda: weight
+    )
+
+
 def test_a_stiffness_is_judged_by_leads_that_are_large_enough():
     arm = bare_arm("so101")
     kp, friction = arm.servos.kp[1], arm.servos.friction[1]
@@ -264,7 +272,7 @@ def test_a_stiffness_is_judged_by_leads_that_are_large_enough():
     def is_warned(weight, lead):
         weights, leads = np.zeros(5), np.zeros(5)
         weights[1], leads[1] = weight, lead
-        io = SimpleNamespace(servos=arm.servos, model=arm.model, gravity=lambda: weights)
+        io = standing(arm, weights)
         return stiffness_mismatch(io, leads) is not None
 
     # Rows about the ratio of stiffness (two), friction, encoder step, share of the expected lead.
@@ -277,6 +285,16 @@ def test_a_stiffness_is_judged_by_leads_that_are_large_enough():
     ):
         assert not is_warned(*accepted), accepted
         assert is_warned(*warned), warned
+
+
+def test_a_load_is_not_taken_for_soft_servos():
+    arm = bare_arm("so101")
+    q, kp = np.zeros(5), np.asarray(arm.servos.kp)
+    weight = np.asarray(arm.model.gravity(q))
+    loaded = robots.load("so101", payload=(0.3, (0.0, 0.0, 0.0)))
+    leads = np.asarray(loaded.gravity(q)) / kp
+    assert "elbow_flex" in stiffness_mismatch(standing(arm, weight), leads)
+    assert stiffness_mismatch(standing(arm, weight, load=0.3), leads) is None
 
 
 def test_an_arm_that_lies_on_its_table_is_not_called_stiff(monkeypatch):
@@ -305,7 +323,7 @@ def test_an_arm_that_lies_on_its_table_is_not_called_stiff(monkeypatch):
 def test_only_a_lead_that_is_too_large_tells_about_the_servos_of_a_supported_arm():
     arm = bare_arm("so101")
     weights, kp = np.array([0.0, 1.0, 0.0, 0.0, 0.0]), np.asarray(arm.servos.kp)
-    io = SimpleNamespace(servos=arm.servos, model=arm.model, gravity=lambda: weights)
+    io = standing(arm, weights)
     for share, is_warned in ((0.2, False), (-0.5, False), (2.0, True)):
         leads = share * weights / kp
         assert stiffness_mismatch(io, leads) is not None
@@ -408,7 +426,7 @@ def test_a_joint_that_pushes_opposite_to_its_weight_is_not_called_soft(ratios):
     weight, kp = np.array([0.0, 1.0, 1.0, 0.0, 0.0]), np.asarray(arm.servos.kp)
     leads = np.zeros(5)
     leads[1:3] = weight[1:3] / kp[1:3] / np.array(ratios)
-    io = SimpleNamespace(servos=arm.servos, model=arm.model, gravity=lambda: weight)
+    io = standing(arm, weight)
     text = stiffness_mismatch(io, leads)
     assert ("shoulder_lift pushes opposite to what its weight needs" in text) is (ratios[0] < 0.0)
     assert ("elbow_flex 0.42 x the assumed k_p" in text) is (ratios[1] < 1.0)

@@ -229,6 +229,7 @@ class ArmIO(ArmCycle):
 
     Attributes:
         servos: Servo parameters of the chain, n entries.
+        load: Mass at the tool beyond the model's payload, found at torque on [kg].
         thermal: Thermal model of the servos.
     """
 
@@ -238,6 +239,7 @@ class ArmIO(ArmCycle):
         self.clock = getattr(drive, "clock", None) or MonotonicClock()
         self.joints = JointMap(model, drive)
         self.servos = self.joints.servos(drive)
+        self.load = 0.0
         size = len(self.joints.names)
         self._kp, self._usable = (
             _per_joint(drive.servos.kp, size),

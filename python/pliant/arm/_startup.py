@@ -13,7 +13,7 @@ from pliant._core import SUPPORT, ServoError, ServoTimeoutError
 from pliant.arm._checks import CHECK_WEIGHT, longest_command_age, outside
 
 if TYPE_CHECKING:
-    from pliant._core import ArmPoints
+    from pliant._core import ArmPoints, Model
     from pliant._typing import Array, Mask
     from pliant.arm._io import ArmIO
 
@@ -212,6 +212,11 @@ def displacement(io: ArmIO, start_q: Array) -> str | None:
     return f"torque did not hold {', '.join(found)}" if found else None
 
 
+def unit_load(model: Model, q: Array) -> Array:
+    """Return the torques (n,) [N·m] that hold 1 kg at the tool at q (n,) [rad]."""
+    return -np.asarray(model.gravity_vector) @ np.asarray(model.jacobian(q))[:3]
+
+
 def unloaded(io: ArmIO, leads: Array) -> str | None:
     """Return which joints carry none of their weight, or None, for an arm away from all objects.
 
@@ -241,8 +246,8 @@ def may_lie_on(table: float | None, points: ArmPoints, q: Array) -> bool:
 def stiffness_mismatch(io: ArmIO, leads: Array, *, is_supported: bool = False) -> str | None:
     """Return a warning about joints whose lead does not match the assumed stiffness, or None.
 
-    The lead (goal minus position) that holds a joint is gravity torque over servo stiffness. A
-    joint is compared if its gravity torque is large against friction, and its lead large against
+    The lead (goal minus position) that holds a joint is gravity torque over servo stiffness; the
+    gravity torque includes the load `io.load`. A joint is compared if its gravity torque is large against friction, and its lead large against
     the encoder step and a fiftieth of the expected lead.
 
     Args:
@@ -251,7 +256,7 @@ def stiffness_mismatch(io: ArmIO, leads: Array, *, is_supported: bool = False) -
         is_supported: True if the arm may lie on an object, which supports part of its weight. Only
             leads that are too large are then reported.
     """
-    servos, weight = io.servos, io.gravity()
+    servos, weight = io.servos, io.gravity() + io.load * unit_load(io.model, io.q)
     expected = weight / np.asarray(servos.kp)
     smallest = np.maximum(3.0 * np.asarray(servos.encoder_step), 0.02 * np.abs(expected))
     clear = (np.abs(weight) > CLEAR_WEIGHT * np.asarray(servos.friction)) & (

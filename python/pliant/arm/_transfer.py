@@ -15,7 +15,7 @@ import numpy as np
 
 from pliant._core import SUPPORT, ServoError, ServoFaultError, ServoTimeoutError, torque_margin
 from pliant.arm._io import RAMP_TIME
-from pliant.arm._startup import CLEAR_WEIGHT, LEAD_FACTOR, full_lead
+from pliant.arm._startup import CLEAR_WEIGHT, LEAD_FACTOR, full_lead, unit_load
 
 if TYPE_CHECKING:
     from pliant._core import ArmPoints
@@ -90,6 +90,8 @@ RETURN_GAIN, RETURN_SPEED, RETURNING = 8.0, 0.1, 0.03
 #: Time constant of the mean position, which also limits the return of a joint [s]: a return by the
 #: present position alone would increase the oscillation of an arm on its servos.
 MEAN_TIME = 0.3
+#: Share of friction by which the torque of a lead that still raises its joint is reduced at last.
+RAISED_SHARE = 0.5
 #: A joint has returned within `RETURNED` [rad] (at least 0.6 encoder steps) of its first position.
 #: Leads stop shrinking after `MAX_TIME` [s]; joints may return for another `RETURN_TIME` [s].
 RETURNED, MAX_TIME, RETURN_TIME = 1.5e-4, 5.0, 1.0
@@ -112,8 +114,8 @@ def transfer_weight(
 
     If the stiffness of the servos is known, the leads that it gives are tried first. If they do not
     hold the arm, the stiffness is not known, and `io.servos` says so from then on. Torque limits
-    then balance the arm, also with an unknown load, and the leads are measured, see
-    `_WeightTransfer`.
+    then balance the arm, also with an unknown load, whose mass is `io.load` from then on, and the
+    leads are measured, see `_WeightTransfer`.
 
     Args:
         io: Read and write access to the arm, with torque on.
@@ -220,10 +222,9 @@ class _WeightTransfer:
         self._assumed_step = np.asarray(servos.encoder_step)
         self._least_change = np.full(start_q.size, np.inf)
         self._weight = io.gravity()
-        tool = np.asarray(io.model.jacobian(start_q))[:3]
-        self._bare_inertia, self._tool = points.inertia(start_q), tool
-        # Torques that hold 1 kg at the tool (n,) [N·m].
-        self._load_weight = -tool.T @ np.asarray(io.model.gravity_vector)
+        self._tool = np.asarray(io.model.jacobian(start_q))[:3]
+        self._bare_inertia = points.inertia(start_q)
+        self._load_weight = unit_load(io.model, start_q)
         extra = BOUND_LOAD * self._load_weight
         beyond = BOUND_SHARE * np.abs(self._weight) + BOUND_FRICTION * self._friction
         self._bounds = (
@@ -338,11 +339,7 @@ class _WeightTransfer:
         pole = min(POLE_DELAY / max(age + self._period, self._slowest), MAX_POLE)
         observer.update(now - age, io.q - self._start, pole)
         self._x, self._v = observer.predict(now)
-        # Least-squares load at the tool whose weight explains the disturbance torque.
-        weight = self._load_weight
-        load = float(-weight @ self._inertia @ observer.d) / max(
-            float(weight @ weight), MIN_WEIGHT**2
-        )
+        load = self._load_of(-self._inertia @ observer.d)
         change = min(max(load, LEAST_LOAD), LARGEST_LOAD) - self._load
         time = LOAD_TIME if change > 0.0 else UNLOAD_TIME
         self._set_load(self._load + min(self._period / time, 1.0) * change)
@@ -350,6 +347,11 @@ class _WeightTransfer:
         back = observer.d + 2.0 * omega * self._v + omega**2 * self._x
         back = np.where(self._follows, back, 0.0)
         return np.clip(self._weight - self._inertia @ back, *self._bounds)
+
+    def _load_of(self, torque: Array) -> float:
+        """Return the load at the tool [kg] that holding `torque` (n,) [N·m] explains best."""
+        weight = self._load_weight
+        return float(weight @ torque) / max(float(weight @ weight), MIN_WEIGHT**2)
 
     def _set_load(self, load: float) -> None:
         """Compute the inertia matrix with a load at the tool [kg]."""
@@ -398,6 +400,7 @@ class _WeightTransfer:
             mean += min(dt / TORQUE_TIME, 1.0) * (torque - mean)
             calm = np.abs(self._v).max() < STILL_SPEED and np.abs(self._x).max() < STILL_AWAY
             still = still + dt if calm else 0.0
+        self._io.load = max(self._load_of(mean - self._weight), 0.0)
         return mean
 
     def _transfer(self) -> Array:
@@ -510,8 +513,15 @@ class _WeightTransfer:
             arrived = not returning.any() or passed > MAX_TIME + RETURN_TIME
             if passed >= RAMP_TIME and bool(known.all()) and arrived:
                 break
+        # A lead that still raises a joint overcomes its friction too: it would raise it further.
+        held = io.goal - io.q
+        excess = RAISED_SHARE * self._friction / np.maximum(np.abs(weight), self._friction)
+        rises = np.isfinite(found) & ((q - mean) * held > returned * np.abs(held))
+        if rises.any():
+            held = np.where(rises, (1.0 - excess) * held, held)
+            io.send(io.q + held, limit)
         io.ramp_limits(limit)
-        return np.where(np.isfinite(found) & ~late, io.goal - io.q, np.nan)
+        return np.where(np.isfinite(found) & ~late, held, np.nan)
 
 
 class _AgainstWeightError(Exception):

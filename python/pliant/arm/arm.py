@@ -109,6 +109,8 @@ class Arm:
         grippers: Grippers by joint name; created again when the drive opens.
         leads: Goal minus position that held each joint against gravity at torque on (n,) [rad]; NaN
             for a joint that rested on an object, and before the first torque on.
+        load: Mass at the tool beyond the model's payload, measured at torque on [kg]; 0 where the
+            stiffness of the servos is known.
 
     Raises:
         ConfigError: The drive lacks a joint of the model, or an argument is out of range.
@@ -166,6 +168,7 @@ class Arm:
             check_rest(self.model, self._points, self.rest_q, self.table)
         self._opened = False
         self.leads: Array = np.full(model.n, np.nan)
+        self.load = 0.0
         #: Joints that torque did not hold when it came on, as a text; None if there is none.
         self._doubt: str | None = None
         # Positions at which the leads were measured (n,) [rad].
@@ -271,7 +274,7 @@ class Arm:
             self.leads = transfer_weight(io, self._points, start_q, carried, self.rate)
         finally:
             self._doubt = displacement(io, start_q)
-        self._leads_q = io.q.copy()
+        self._leads_q, self.load = io.q.copy(), io.load
         if self.servos.stiffness_known and not io.servos.stiffness_known:
             self.servos, self.model = io.servos, self.model.with_servos(io.servos)
         is_supported = may_lie_on(self.table, self._points, io.q)

@@ -711,12 +711,13 @@ fn a_snapshot_keeps_the_captured_stiffness_and_is_checked() {
         let command = *controller.step(&Q, &target, &StepInput::default()).unwrap();
         assert_eq!(command, *other.step(&Q, &target, &StepInput::default()).unwrap());
     }
-    let captured = |index: usize, value: f64| {
+    let changed = |list: usize, index: usize, value: f64| {
         let mut wrong = snapshot.clone();
-        wrong.captured.as_mut().unwrap()[index] = value;
+        wrong.captured.as_mut().unwrap()[list][index] = value;
         wrong
     };
-    let short = Snapshot { captured: Some(vec![0.01; 6]), ..snapshot.clone() };
+    let captured = |index: usize, value: f64| changed(0, index, value);
+    let short = Snapshot { captured: Some([vec![0.01; 7], vec![0.0; 6]]), ..snapshot.clone() };
     let state = |length: usize| Snapshot { state: vec![1.0; length], ..snapshot.clone() };
     let nan = Snapshot { state: vec![f64::NAN; snapshot.state.len()], ..snapshot.clone() };
     let ramp = |mass: f64| Snapshot { payload_ramp: Some([mass, 0.0, 0.0, 0.0, 0.1]), ..snapshot.clone() };
@@ -724,6 +725,7 @@ fn a_snapshot_keeps_the_captured_stiffness_and_is_checked() {
         (captured(0, 0.0), "captured [rad/(N·m)] = 0 is outside (0, ∞)"),
         (captured(6, -0.01), "captured [rad/(N·m)] = -0.01 is outside (0, ∞)"),
         (captured(3, f64::INFINITY), "captured [rad/(N·m)] = inf is outside (0, ∞)"),
+        (changed(1, 2, f64::NAN), "captured lead [rad] = NaN is outside ±1e6"),
         (short, "captured has"),
         (Snapshot { gravity: [0.0, f64::NAN, 0.0], ..snapshot.clone() }, "gravity"),
         (Snapshot { delay: 0.6, ..snapshot.clone() }, "delay [s] = 0.6"),

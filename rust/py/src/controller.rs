@@ -18,6 +18,7 @@ use crate::extras::{Extras, SECONDS};
 use crate::in_use::{exclusive, shared};
 use crate::model::Model;
 use crate::ndarray::new_array;
+use crate::options::Payload;
 use crate::pickle::Reduced;
 use crate::read::{array_into, joints, pose, real, vector3};
 use crate::report::{FeasibilityReport, PoseReport, check_with};
@@ -197,6 +198,12 @@ impl Controller {
         controller.position_only = position_only(&settings.get().0);
         controller.settings = settings;
         Ok(())
+    }
+
+    #[doc = stub!(Controller.payload)]
+    #[getter]
+    fn payload(&self) -> Option<Payload> {
+        self.core.payload().copied().map(Payload)
     }
 
     #[doc = stub!(Controller.set_payload)]

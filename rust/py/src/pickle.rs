@@ -18,8 +18,8 @@ pub(crate) type Reduced<'py> = (Bound<'py, PyAny>, Bound<'py, PyTuple>);
 /// Model, settings and servos of a controller; `None` for a controller without servos.
 type Parts = (Py<Model>, Py<Settings>, Option<Py<Servos>>);
 
-/// The fields of a [`Snapshot`] as Python values: payload, gravity, payload ramp, delay, captured 1/k_g, state.
-type Numbers<'py> = (Option<Payload>, [f64; 3], Option<[f64; 5]>, f64, Option<Vec<f64>>, Bound<'py, PyAny>);
+/// The fields of a [`Snapshot`] as Python values: payload, gravity, payload ramp, delay, captured offset, state.
+type Numbers<'py> = (Option<Payload>, [f64; 3], Option<[f64; 5]>, f64, Option<[Vec<f64>; 2]>, Bound<'py, PyAny>);
 
 /// Adds the functions that unpickling calls to the module, but not to `__all__`.
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {

@@ -65,7 +65,8 @@ impl<J: JointVector> JointTargets<J> {
             feed_forward = kp * friction;
         }
         let q_gravity_offset = if input.features.gravity {
-            arm.gravity_in_goal * J::load(&params.gravity_compliance)
+            let offset = &params.gravity_offset;
+            J::fma(arm.gravity_in_goal, J::load(&offset.compliance), J::load(&offset.lead))
         } else {
             J::splat(0.0)
         };

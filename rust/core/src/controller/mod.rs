@@ -25,7 +25,8 @@ use crate::math::singular_values::SingularValues;
 use crate::model::{Model, Payload};
 use crate::params::joint_space::{self, JointSpaceStats};
 use crate::params::{
-    AxisImpedance, AxisParams, AxisStrength, DampingParams, GravityUse, Params, Servos, Settings, max_adaptation,
+    AxisImpedance, AxisParams, AxisStrength, DampingParams, GravityOffset, GravityUse, Params, Servos, Settings,
+    max_adaptation,
 };
 use crate::pose::{COORDINATE_BOUND, Pose};
 use crate::{JointVec, MAX_JOINTS};
@@ -59,8 +60,8 @@ pub struct Controller {
     /// Ramp from the previous payload to the present one; `None` without a recent change.
     payload_ramp: Option<PayloadRamp>,
     pub(crate) gravity: [f64; 3],
-    /// Compliance 1/k_g of the gravity offset [rad/(N·m)]; `None` if it was not captured.
-    captured: Option<JointVec>,
+    /// Captured gravity offset.
+    captured: Option<GravityOffset>,
     delay: f64,
     pub(crate) state: State,
     pub(crate) diagnostics: Diagnostics,
@@ -252,8 +253,8 @@ impl Controller {
         if self.settings.gravity_use() == GravityUse::Off {
             self.check_holding(settings.gravity_use(), &self.masses)?;
         }
-        if let Some(compliance) = self.captured {
-            params.gravity_compliance = compliance;
+        if let Some(offset) = self.captured {
+            params.gravity_offset = offset;
         }
         // Complete the record now: the last step had the previous settings.
         self.diagnostics = self.record();
@@ -344,19 +345,21 @@ impl Controller {
             return Err(Error::config("servos", "capturing gravity needs an assumed k_p: give servos"));
         }
         let holding = self.holding_torques(&q, &self.masses);
-        let captured = self.params.servos.captured_compliance(self.params.n, &q, &goal, &holding);
+        let captured = self.params.servos.gravity_offset(self.params.n, &q, &goal, &holding);
+        let before = self.params.gravity_offset;
         // Subtract the change of the gravity offset from the integrator, which holds it already.
         if self.settings.gravity_use().in_goal() {
             for i in 0..self.params.n {
-                let more = holding[i] * (captured[i] - self.params.gravity_compliance[i]);
+                let more = holding[i] * (captured.compliance[i] - before.compliance[i]);
+                let more = more + captured.lead[i] - before.lead[i];
                 self.state.integral[i] -= more;
                 self.state.gravity_offset[i] += more;
             }
         }
         self.captured = Some(captured);
         self.params.max_adaptation = max_adaptation(&self.settings, true);
-        self.params.gravity_compliance = captured;
-        Ok(captured[..self.params.n].iter().map(|compliance| 1.0 / compliance).collect())
+        self.params.gravity_offset = captured;
+        Ok(captured.compliance[..self.params.n].iter().map(|compliance| 1.0 / compliance).collect())
     }
 
     /// Returns a snapshot for [`Controller::from_snapshot`].
@@ -369,7 +372,7 @@ impl Controller {
             gravity: self.gravity,
             payload_ramp: self.payload_ramp.map(|payload_ramp| payload_ramp.state()),
             delay: self.delay,
-            captured: self.captured.map(|captured| captured[..n].to_vec()),
+            captured: self.captured.map(|offset| [offset.compliance, offset.lead].map(|list| list[..n].to_vec())),
             state,
         }
     }
@@ -388,7 +391,7 @@ impl Controller {
     ) -> Result<Self> {
         let n = model.n();
         snapshot.validate(n)?;
-        let mut controller = Self::build(model, settings, servos, snapshot.captured.as_deref())?;
+        let mut controller = Self::build(model, settings, servos, snapshot.captured.as_ref())?;
         if let Some(payload) = &snapshot.payload {
             payload.validate()?;
         }
@@ -411,6 +414,11 @@ impl Controller {
     /// Returns the model of the arm.
     pub fn model(&self) -> &Arc<Model> {
         &self.model
+    }
+
+    /// Returns the present payload: that of [`Controller::set_payload`], or of the model.
+    pub const fn payload(&self) -> Option<&Payload> {
+        self.payload.as_ref()
     }
 
     /// Returns the current settings.
@@ -526,17 +534,21 @@ impl Controller {
         self.record().responsibility(&self.params)
     }
 
-    /// Creates a controller as [`Controller::new`], without the check that the servos can hold the arm. `captured` is a
-    /// captured compliance 1/k_g of each joint [rad/(N·m)].
+    /// Creates a controller as [`Controller::new`], without the check that the servos can hold the arm. `captured` is
+    /// that of a [`Snapshot`].
     #[inline(never)]
-    fn build(model: Arc<Model>, settings: Settings, servos: Option<Servos>, captured: Option<&[f64]>) -> Result<Self> {
+    fn build(
+        model: Arc<Model>,
+        settings: Settings,
+        servos: Option<Servos>,
+        captured: Option<&[Vec<f64>; 2]>,
+    ) -> Result<Self> {
         let mut joint_space_stats = JointSpaceStats::default();
         let mut params = Params::new(&model, &settings, servos.as_ref(), captured.is_some(), &mut joint_space_stats)?;
-        params
-            .gravity_compliance
-            .iter_mut()
-            .zip(captured.into_iter().flatten())
-            .for_each(|(slot, &value)| *slot = value);
+        if let Some([compliance, lead]) = captured {
+            params.gravity_offset.compliance[..compliance.len()].copy_from_slice(compliance);
+            params.gravity_offset.lead[..lead.len()].copy_from_slice(lead);
+        }
         let masses = model.chain().masses(model.payload());
         let zero = [0.0; MAX_JOINTS];
         let controller = Self {
@@ -547,7 +559,7 @@ impl Controller {
             state: State::new(),
             diagnostics: Diagnostics::empty(),
             command: Command { n: params.n, goal: zero, torque_limit: zero, speed_limit: zero },
-            captured: captured.map(|_| params.gravity_compliance),
+            captured: captured.map(|_| params.gravity_offset),
             simd_level: SimdLevel::detect(),
             scratch: KinematicScratch::new(),
             model,

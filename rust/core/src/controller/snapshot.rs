@@ -18,8 +18,8 @@ pub struct Snapshot {
     pub payload_ramp: Option<[f64; 5]>,
     /// Current delay T_d [s].
     pub delay: f64,
-    /// Compliance 1/k_g of the gravity offset of each joint [rad/(N·m)]; `None` if it was not captured.
-    pub captured: Option<Vec<f64>>,
+    /// Captured gravity offset of each joint: compliance 1/k_g [rad/(N·m)] and constant lead [rad]; `None`: not captured.
+    pub captured: Option<[Vec<f64>; 2]>,
     /// State between steps; empty before the first step or reset.
     pub state: Vec<f64>,
 }
@@ -27,12 +27,17 @@ pub struct Snapshot {
 impl Snapshot {
     /// Checks captured compliance and gravity for an arm of `n` joints.
     pub(super) fn validate(&self, n: usize) -> Result<()> {
-        let captured = self.captured.as_deref();
-        if let Some(other) = captured.filter(|values| values.len() != n) {
+        let lists = self.captured.as_ref();
+        if let Some(other) = lists.into_iter().flatten().find(|values| values.len() != n) {
             return Err(Error::length("captured", other.len(), n));
         }
-        if let Some(&value) = captured.into_iter().flatten().find(|value| !(**value > 0.0 && value.is_finite())) {
-            return Err(Error::out_of_range("captured [rad/(N·m)]", value, "(0, ∞)"));
+        if let Some([compliance, lead]) = lists {
+            if let Some(&value) = compliance.iter().find(|value| !(**value > 0.0 && value.is_finite())) {
+                return Err(Error::out_of_range("captured [rad/(N·m)]", value, "(0, ∞)"));
+            }
+            if let Some(&value) = lead.iter().find(|value| !(value.abs() <= COORDINATE_BOUND)) {
+                return Err(Error::out_of_range("captured lead [rad]", value, format!("±{COORDINATE_BOUND:e}")));
+            }
         }
         finite_vector("gravity", "m/s²", &self.gravity)
     }

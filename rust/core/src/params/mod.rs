@@ -29,6 +29,6 @@ pub(crate) use overspeed::OverspeedParams;
 pub use resolved::DampingParams;
 pub(crate) use resolved::{NullSpaceCost, Params};
 pub(crate) use row_axes::RowAxes;
-pub(crate) use servos::ServoArrays;
+pub(crate) use servos::{GravityOffset, ServoArrays};
 pub use servos::{LimitType, Servos};
 pub use settings::{Damping, Follow, Gain, GravityUse, Law, LimitRule, Projector, Settings};

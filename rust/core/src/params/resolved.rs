@@ -16,8 +16,8 @@ use crate::params::joint_space::JointSpaceStats;
 use crate::params::pacing::PacingParams;
 use crate::params::scales::clearance;
 use crate::params::{
-    AXIS_NAMES, Damping, Features, Follow, Frame, Gain, Law, LimitRule, Projector, ServoArrays, Servos, Settings,
-    impedance, scales,
+    AXIS_NAMES, Damping, Features, Follow, Frame, Gain, GravityOffset, Law, LimitRule, Projector, ServoArrays, Servos,
+    Settings, impedance, scales,
 };
 use crate::pose::{Pose, TargetRegion};
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS};
@@ -159,8 +159,8 @@ pub(crate) struct Params {
     pub(crate) max_host_loss_force: Option<f64>,
     /// Largest rate at which each torque limit may rise [N·m/s]; ∞ for no bound.
     pub(crate) max_limit_rate: JointVec,
-    /// Compliance 1/k_g [rad/(N·m)] of each joint: gravity torque × compliance is the gravity offset of the goal.
-    pub(crate) gravity_compliance: JointVec,
+    /// Gravity offset of the goals; without a captured one, its compliance is 1/k_p and its lead 0.
+    pub(crate) gravity_offset: GravityOffset,
 }
 
 impl Params {
@@ -258,7 +258,7 @@ impl Params {
             limit_margin: joints(n, 0.0, |i| margin(settings, &arrays, i)),
             max_host_loss_force: settings.torque_limits.max_host_loss_force,
             max_limit_rate: joints(n, f64::INFINITY, |i| max_limit_rate(settings, &arrays, i)),
-            gravity_compliance: arrays.compliance,
+            gravity_offset: GravityOffset { compliance: arrays.compliance, lead: [0.0; MAX_JOINTS] },
             servos: arrays,
             axes,
         };

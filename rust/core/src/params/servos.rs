@@ -160,6 +160,15 @@ impl Servos {
     }
 }
 
+/// Gravity offset of the goals: gravity torque times `compliance`, plus `lead`.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct GravityOffset {
+    /// 1/k_g [rad/(N·m)].
+    pub(crate) compliance: JointVec,
+    /// Constant lead [rad].
+    pub(crate) lead: JointVec,
+}
+
 /// Servo parameters of the control step, one entry per joint; the padding contains neutral values.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct ServoArrays {
@@ -211,18 +220,24 @@ impl ServoArrays {
         self.friction[i] + self.stribeck[i] + (self.load_friction[i] + self.load_stribeck[i]) * torque.abs()
     }
 
-    /// Returns the compliance 1/k_g [rad/(N·m)] of each joint of an arm at rest: `(goal − q) / holding`, clamped so
-    /// that k_g is 0.3 to 3 times the configured `k_p`. A joint whose |holding| is at most three times its friction, or
-    /// three times the servo torque of one encoder count, keeps the configured 1/`k_p`.
-    pub(crate) fn captured_compliance(&self, n: usize, q: &JointVec, goal: &JointVec, holding: &JointVec) -> JointVec {
-        let mut captured = self.compliance;
+    /// Returns the gravity offset of an arm at rest at `q` with these `goal`s [rad] and the torques `holding` [N·m].
+    ///
+    /// The compliance 1/k_g is `(goal − q) / holding`, clamped so that k_g is 0.3 to 3 times the configured `k_p`. A
+    /// joint whose |holding| is at most three times its friction, or three times the servo torque of one encoder count,
+    /// keeps the configured 1/`k_p`. The rest of `goal − q` is the constant lead, which 10 times this friction or
+    /// torque bounds.
+    pub(crate) fn gravity_offset(&self, n: usize, q: &JointVec, goal: &JointVec, holding: &JointVec) -> GravityOffset {
+        let mut offset = GravityOffset { compliance: self.compliance, lead: [0.0; MAX_JOINTS] };
         for i in 0..n {
-            if holding[i].abs() > 3.0 * self.friction[i].max(self.kp[i] * self.encoder_step[i]) {
-                let (compliance, configured) = ((goal[i] - q[i]) / holding[i], self.compliance[i]);
-                captured[i] = compliance.clamp(configured / 3.0, configured / 0.3);
+            let (lead, configured) = (goal[i] - q[i], self.compliance[i]);
+            let resolution = self.friction[i].max(self.kp[i] * self.encoder_step[i]);
+            if holding[i].abs() > 3.0 * resolution {
+                offset.compliance[i] = (lead / holding[i]).clamp(configured / 3.0, configured / 0.3);
             }
+            let bound = 10.0 * resolution * configured;
+            offset.lead[i] = (lead - offset.compliance[i] * holding[i]).clamp(-bound, bound);
         }
-        captured
+        offset
     }
 
     /// Creates the arrays from the result of [`Servos::for_joints`]. Without servos, the usable torques are the effort
