@@ -174,7 +174,7 @@ class Job(Case):
             after = recorder.seen.speed
             resting = sum(float(np.linalg.norm(felt.force)) for felt in plant.hands)
             woken, stir = self.enable(arm, recorder)
-            ratio = np.log(recorder.stiffness() / np.asarray(arm.servos.kp))
+            ratio = np.log(recorder.stiffness() / np.asarray(arm._io.servos.kp))
         return DescentResult(
             apart=float(np.exp(np.abs(ratio).max())),
             strain=strain,
@@ -224,7 +224,7 @@ class HandJob(Case):
             begin = arm.clock.now()
             moved, jerk = self.enable(arm, recorder)
             seconds = arm.clock.now() - begin - BEFORE
-            ratio = np.log(recorder.stiffness() / np.asarray(arm.servos.kp))
+            ratio = np.log(recorder.stiffness() / np.asarray(arm._io.servos.kp))
             left = float(np.linalg.norm(recorder.plant.tool[:3, 3] - recorder.start))
             arm.disable_torque()
         return HandResult(
@@ -274,7 +274,7 @@ class ParkJob(Case):
             height = max(arm.model.forward_kinematics(q)[2, 3] for q in path)
             arm.park(rest)
             seconds, seen = arm.clock.now() - begin, recorder.seen
-            ratio = np.log(recorder.stiffness() / np.asarray(arm.servos.kp))
+            ratio = np.log(recorder.stiffness() / np.asarray(arm._io.servos.kp))
         return ParkResult(
             apart=float(np.exp(np.abs(ratio).max())),
             strain=recorder.strain,

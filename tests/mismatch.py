@@ -205,7 +205,9 @@ def _of_plant(plant: Plant) -> dict[str, Any]:
 
 
 def _of_consumer(consumer: Any, plant: Plant) -> dict[str, Any]:
-    assumed, table, n = consumer.servos, plant.model.servos, plant.n
+    # Torque on replaces `Arm.servos` by measured ones.
+    assumed = consumer._io.servos if isinstance(consumer, Arm) else consumer.servos
+    table, n = plant.model.servos, plant.n
     model, load = consumer.model, consumer.model.payload
     settings = getattr(consumer, "settings", None)
     return {

@@ -754,7 +754,7 @@ def capture_leads(arm: Arm, controller: Any) -> None:
     positions of that time: the arm may have moved since. For joints without a measured lead, the
     lead is the gravity torque divided by the assumed stiffness.
     """
-    capture, leads = getattr(controller, "capture_gravity", None), getattr(arm, "leads", None)
+    capture, leads = getattr(controller, "capture_gravity", None), getattr(arm, "_free_leads", None)
     if capture is None or leads is None or arm.servos.stiffness_known:
         return
     q, own = arm._leads_q, arm.model.payload

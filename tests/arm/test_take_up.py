@@ -20,6 +20,7 @@ from pliant.arm._startup import (
     initial_commands,
     may_lie_on,
     stiffness_mismatch,
+    stiffness_ratio,
     wait_for_all,
 )
 from pliant.arm._transfer import MIN_BALANCE, RISE, SINK, _DisturbanceObserver, _WeightTransfer
@@ -264,6 +265,10 @@ def standing(arm, weight, load=0.0):
     )
 
 
+def mismatch(io, leads, **options):
+    return stiffness_mismatch(io, stiffness_ratio(io, leads, **options))
+
+
 def test_a_stiffness_is_judged_by_leads_that_are_large_enough():
     arm = bare_arm("so101")
     kp, friction = arm.servos.kp[1], arm.servos.friction[1]
@@ -273,7 +278,7 @@ def test_a_stiffness_is_judged_by_leads_that_are_large_enough():
         weights, leads = np.zeros(5), np.zeros(5)
         weights[1], leads[1] = weight, lead
         io = standing(arm, weights)
-        return stiffness_mismatch(io, leads) is not None
+        return mismatch(io, leads) is not None
 
     # Rows about the ratio of stiffness (two), friction, encoder step, share of the expected lead.
     for accepted, warned in (
@@ -293,8 +298,8 @@ def test_a_load_is_not_taken_for_soft_servos():
     weight = np.asarray(arm.model.gravity(q))
     loaded = robots.load("so101", payload=(0.3, (0.0, 0.0, 0.0)))
     leads = np.asarray(loaded.gravity(q)) / kp
-    assert "elbow_flex" in stiffness_mismatch(standing(arm, weight), leads)
-    assert stiffness_mismatch(standing(arm, weight, load=0.3), leads) is None
+    assert "elbow_flex" in mismatch(standing(arm, weight), leads)
+    assert mismatch(standing(arm, weight, load=0.3), leads) is None
 
 
 def test_an_arm_that_lies_on_its_table_is_not_called_stiff(monkeypatch):
@@ -326,8 +331,8 @@ def test_only_a_lead_that_is_too_large_tells_about_the_servos_of_a_supported_arm
     io = standing(arm, weights)
     for share, is_warned in ((0.2, False), (-0.5, False), (2.0, True)):
         leads = share * weights / kp
-        assert stiffness_mismatch(io, leads) is not None
-        assert (stiffness_mismatch(io, leads, is_supported=True) is not None) is is_warned
+        assert mismatch(io, leads) is not None
+        assert (mismatch(io, leads, is_supported=True) is not None) is is_warned
 
 
 @pytest.mark.parametrize("dt", [0.004, 0.02])
@@ -427,7 +432,7 @@ def test_a_joint_that_pushes_opposite_to_its_weight_is_not_called_soft(ratios):
     leads = np.zeros(5)
     leads[1:3] = weight[1:3] / kp[1:3] / np.array(ratios)
     io = standing(arm, weight)
-    text = stiffness_mismatch(io, leads)
+    text = mismatch(io, leads)
     assert ("shoulder_lift pushes opposite to what its weight needs" in text) is (ratios[0] < 0.0)
     assert ("elbow_flex 0.42 x the assumed k_p" in text) is (ratios[1] < 1.0)
     assert "-0.0" not in text

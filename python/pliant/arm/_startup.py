@@ -13,7 +13,7 @@ from pliant._core import SUPPORT, ServoError, ServoTimeoutError
 from pliant.arm._checks import CHECK_WEIGHT, longest_command_age, outside
 
 if TYPE_CHECKING:
-    from pliant._core import ArmPoints, Model
+    from pliant._core import ArmPoints, Model, Servos
     from pliant._typing import Array, Mask
     from pliant.arm._io import ArmIO
 
@@ -33,6 +33,11 @@ FIRST_LEAD, LARGEST_LEAD = 0.03, 0.8
 MAX_DISPLACEMENT = 0.15
 #: Ratio of measured to assumed servo stiffness, or inverse ratio, above which the user is warned.
 MISMATCH = 1.5
+#: Ratio, or inverse ratio, up to which a servo has the assumed stiffness: friction explains it.
+#: Larger ratios are clipped to `RATIO_BOUNDS`.
+SAME, RATIO_BOUNDS = 1.25, (0.4, 2.5)
+#: Largest quotient of the ratios of servos that agree.
+AGREEMENT = 1.5
 #: Weight over friction of a joint above which its motion and its lead tell about the weight.
 CLEAR_WEIGHT = 3.0
 #: Lead of a joint, as a share of the lead that its weight needs, below which it carries none of it.
@@ -243,18 +248,19 @@ def may_lie_on(table: float | None, points: ArmPoints, q: Array) -> bool:
     return table is not None and bool(points.position(q)[:, 2].min() < table + LINK_RADIUS)
 
 
-def stiffness_mismatch(io: ArmIO, leads: Array, *, is_supported: bool = False) -> str | None:
-    """Return a warning about joints whose lead does not match the assumed stiffness, or None.
+def stiffness_ratio(io: ArmIO, leads: Array, *, is_supported: bool = False) -> Array:
+    """Return stiffness over assumed stiffness of each servo (n,); NaN where it is not measured.
 
     The lead (goal minus position) that holds a joint is gravity torque over servo stiffness; the
-    gravity torque includes the load `io.load`. A joint is compared if its gravity torque is large against friction, and its lead large against
-    the encoder step and a fiftieth of the expected lead.
+    gravity torque includes the load `io.load`. A joint is measured if its gravity torque is large
+    against friction, and its lead large against the encoder step and a fiftieth of the expected
+    lead. The ratio is negative if the lead has the wrong direction.
 
     Args:
         io: Read access to the arm, at rest.
         leads: Leads that hold the joints, from `transfer_weight` (n,) [rad].
         is_supported: True if the arm may lie on an object, which supports part of its weight. Only
-            leads that are too large are then reported.
+            leads that are too large are then measurements.
     """
     servos, weight = io.servos, io.gravity() + io.load * unit_load(io.model, io.q)
     expected = weight / np.asarray(servos.kp)
@@ -264,9 +270,29 @@ def stiffness_mismatch(io: ArmIO, leads: Array, *, is_supported: bool = False) -
     )
     with np.errstate(invalid="ignore", divide="ignore"):
         ratio = expected / leads
-    differs = clear & np.isfinite(ratio) & ((ratio > MISMATCH) | (ratio < 1.0 / MISMATCH))
-    if is_supported:
-        differs &= (ratio > 0.0) & (ratio < 1.0)
+        if is_supported:
+            clear &= (ratio > 0.0) & (ratio < 1.0)
+        return np.where(clear & np.isfinite(ratio), ratio, np.nan)
+
+
+def measured_servos(io: ArmIO, ratio: Array) -> Servos:
+    """Return the servos with the stiffness that `ratio` (n,) of `stiffness_ratio` gives.
+
+    Ratios near 1 count as 1. A servo without a measured ratio gets the median of the others if
+    these agree.
+    """
+    ratio = np.clip(np.where(ratio > 0.0, ratio, np.nan), *RATIO_BOUNDS)
+    ratio = np.where((ratio > 1.0 / SAME) & (ratio < SAME), 1.0, ratio)
+    found = ratio[np.isfinite(ratio)]
+    agree = found.size > 1 and found.max() < AGREEMENT * found.min()
+    typical = float(np.median(found)) if agree else 1.0
+    kp = np.asarray(io.servos.kp) * np.where(np.isfinite(ratio), ratio, typical)
+    return io.servos.replace(kp=kp)
+
+
+def stiffness_mismatch(io: ArmIO, ratio: Array) -> str | None:
+    """Return a warning about joints with a `stiffness_ratio` (n,) far from 1, or None."""
+    differs = np.isfinite(ratio) & ((ratio > MISMATCH) | (ratio < 1.0 / MISMATCH))
     if not differs.any():
         return None
     names = io.model.joint_names
@@ -280,7 +306,6 @@ def stiffness_mismatch(io: ArmIO, leads: Array, *, is_supported: bool = False) -
         return reversed_leads
     return (f"{reversed_leads}; " if wrong else "") + (
         f"servos are stiffer or softer than their table, or weights or zeros are wrong: "
-        f"{', '.join(found)} the assumed k_p; forces are wrong by up to as much: "
-        "pliant.identify.identify_servos(arm, model) measures k_p, controller.set_payload(...) "
-        "sets a load"
+        f"{', '.join(found)} the assumed k_p: make controllers from arm.servos after torque on, "
+        "and measure k_p with pliant.identify.identify_servos(arm, model)"
     )

@@ -34,7 +34,9 @@ from pliant.arm._startup import (
     displacement,
     initial_commands,
     may_lie_on,
+    measured_servos,
     stiffness_mismatch,
+    stiffness_ratio,
     unloaded,
     wait_for_all,
 )
@@ -171,8 +173,10 @@ class Arm:
         self.load = 0.0
         #: Joints that torque did not hold when it came on, as a text; None if there is none.
         self._doubt: str | None = None
-        # Positions at which the leads were measured (n,) [rad].
+        # Positions at which the leads were measured, and those that no object makes smaller; the
+        # others are NaN (n,) [rad].
         self._leads_q: Array = np.zeros(model.n)
+        self._free_leads = self.leads
 
     def _build(self) -> None:
         """Create the parts that depend on servo parameters; `open` calls this again."""
@@ -275,13 +279,14 @@ class Arm:
         finally:
             self._doubt = displacement(io, start_q)
         self._leads_q, self.load = io.q.copy(), io.load
-        if self.servos.stiffness_known and not io.servos.stiffness_known:
-            self.servos, self.model = io.servos, self.model.with_servos(io.servos)
         is_supported = may_lie_on(self.table, self._points, io.q)
+        ratio = stiffness_ratio(io, self.leads, is_supported=is_supported)
+        self._free_leads = np.where(np.isnan(ratio) & is_supported, np.nan, self.leads)
+        if not io.servos.stiffness_known:
+            self.servos = measured_servos(io, ratio)
+            self.model = self.model.with_servos(self.servos)
         # A sagging supply changes the leads as wrong servo parameters do: report only the sag.
-        mismatch = io.watch_supply() or stiffness_mismatch(
-            io, self.leads, is_supported=is_supported
-        )
+        mismatch = io.watch_supply() or stiffness_mismatch(io, ratio)
         displaced = self._doubt and (
             f"{self._doubt}: signs or zeros are wrong (`pliant servos doctor ARM --watch`), "
             "a load is too heavy, or a hand pushed the arm"

@@ -115,13 +115,15 @@ class HandGuiding:
         )
         self._rig = self._excitation(self._dt)
         self._damping = self._rig.damping + self._rig.kv + self._rig.back_emf
-        self._moments = np.zeros(4)
+        own = np.zeros(4)
+        if model.payload is not None:
+            own = first_moments(model.payload.mass, model.payload.com)
+        self._own_moments, self._payload = own, model.payload
+        self._set_moments(own)
         if payload is not None:
             load = as_payload(payload)
-            self._moments = first_moments(load.mass, load.com)
-        self._total_moments = self._moments.copy()
-        if model.payload is not None:
-            self._total_moments += first_moments(model.payload.mass, model.payload.com)
+            total = own + first_moments(load.mass, load.com)
+            self.set_payload(total[0], total[1:] / max(total[0], 1e-9))
         #: Torque that holds the arm: `ratio` times the gravity torque plus `offset`, (2, n).
         self._captured = np.array([np.ones(self._n), np.zeros(self._n)])
         self._first_swing: Steps[Array] | None = None
@@ -136,6 +138,31 @@ class HandGuiding:
     def play(self) -> Array:
         """Backlash w (n,) [rad] between joints and goals, as in the module's docstring."""
         return np.full(self._n, INITIAL_PLAY) if self._law is None else self._law.play
+
+    @property
+    def payload(self) -> Payload | None:
+        """Payload, with that of the model; None: none."""
+        return self._payload
+
+    def set_payload(self, mass: float, com: ArrayLike = (0.0, 0.0, 0.0)) -> None:
+        """Set the payload, with that of the model, from the next `reset` on.
+
+        `pliant.Loop` calls it with the load that was measured when torque was switched on, unless
+        the payload differs from that of the model.
+
+        Args:
+            mass: Mass [kg], at least that of the model's payload; 0 for none.
+            com: Centre of mass (3,) in the tool frame [m].
+
+        Raises:
+            OutOfRangeError, ShapeError: An argument is invalid; nothing has changed.
+        """
+        mass = number(mass, "mass", float(self._own_moments[0]), 1e6, "kg")
+        self._payload = Payload(mass, com)
+        self._set_moments(first_moments(mass, com))
+
+    def _set_moments(self, total: Array) -> None:
+        self._total_moments, self._moments = total, total - self._own_moments
 
     @property
     def stiffness(self) -> Array:
@@ -303,7 +330,7 @@ class HandGuiding:
     def _holding_torque(self, q: Array) -> Array:
         """Return the torques that hold the arm at q, with all payloads (n,) [N·m]."""
         gravity = np.asarray(self._model.gravity(q))
-        if self._moments[0] > 0.0:
+        if self._moments.any():
             gravity = gravity + payload_rows(self._model, q) @ self._moments
         return gravity
 

@@ -696,6 +696,30 @@ fn a_captured_stiffness_is_bounded() {
 }
 
 #[test]
+fn the_part_of_a_captured_lead_that_no_stiffness_explains_stays() {
+    let (model, mut controller, target) = make(frictionless());
+    let gravity = model.gravity(&Q).unwrap();
+    // Joint 5 carries too little weight to tell its stiffness, joint 1 more than the bounds of the stiffness allow.
+    let mut goal: Vec<f64> = (0..7).map(|i| Q[i] + gravity[i] / (0.8 * BELIEVED[i])).collect();
+    goal[5] += 0.01;
+    goal[1] = Q[1] + 0.01 * gravity[1].signum() + gravity[1] / (0.3 * BELIEVED[1]);
+    controller.capture_gravity(&Q, &goal).unwrap();
+    let held = |controller: &mut Controller| {
+        controller.reset(&Q).unwrap();
+        (0..300).for_each(|_| drop(controller.step(&Q, &target, &StepInput::default()).unwrap()));
+        controller.step(&Q, &target, &StepInput::default()).unwrap().goal().to_vec()
+    };
+    assert!(largest_difference(&held(&mut controller), &goal) < 1e-9);
+    controller.update(Settings { rate: 200.0, ..frictionless() }).unwrap();
+    assert!(largest_difference(&held(&mut controller), &goal) < 1e-9);
+    // A lead that holds nothing is bounded: 10 times the friction of 0.1 N·m, at k_p = 60 N·m/rad.
+    goal[5] = Q[5] + 2.0;
+    controller.capture_gravity(&Q, &goal).unwrap();
+    let lead = held(&mut controller)[5] - Q[5];
+    assert!((lead - gravity[5] / BELIEVED[5] - 10.0 * 0.1 / BELIEVED[5]).abs() < 1e-9, "{lead}");
+}
+
+#[test]
 fn a_snapshot_keeps_the_captured_stiffness_and_is_checked() {
     let (model, mut controller, target) = make(Settings::default());
     let gravity = model.gravity(&Q).unwrap();
