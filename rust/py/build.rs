@@ -9,6 +9,24 @@ use std::path::Path;
 
 const STUB: &str = "../../python/pliant/_core.pyi";
 const QUOTES: &str = "\"\"\"";
+/// Classes and functions that only the Python package uses: their docstrings stay in the stub, which saves 20 kB.
+const INTERNAL: &[&str] = &[
+    "ArmCycle",
+    "ArmPoints",
+    "BusCycle",
+    "BusStatus",
+    "CommandLimiter",
+    "ExclusiveAccess",
+    "HandGuidingLaw",
+    "PortState",
+    "PositionFilter",
+    "SerialPort",
+    "ServoCodec",
+    "ServoGroup",
+    "ThermalModel",
+    "torque_margin",
+    "update_contacts",
+];
 
 /// Docstrings by name, e.g. `Model`, `Model.gravity`, `compliance`. Those of overloads are joined. An attribute without
 /// docstring has the text of the class argument or attribute with its name.
@@ -61,6 +79,7 @@ fn read(stub: &str) -> Result<Docs, String> {
         }
     }
     docs.retain(|name, doc| !name.starts_with('_') && !doc.is_empty());
+    docs.iter_mut().filter(|(name, _)| INTERNAL.contains(&word(name).as_str())).for_each(|(_, doc)| doc.clear());
     Ok(docs)
 }
 

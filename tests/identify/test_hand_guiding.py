@@ -10,6 +10,7 @@ import pliant
 from experiments import descent, steps
 from experiments.arms import BESIDE, ROBOTS
 from experiments.hand_guiding import SWING_SEED, guide, swing
+from pliant import robots
 from pliant.identify._excitation import opposing_signs
 from pliant.sim import Plant
 
@@ -192,3 +193,20 @@ def test_a_joint_that_does_not_swing_does_not_oscillate_later():
             height.append(plant.tool[2, 3])
     assert guiding.ready
     assert np.ptp(height) < 2e-3
+
+
+def test_a_payload_that_is_set_is_that_of_the_constructor(grasp):
+    model, q = robots.load("arm7", payload=(0.1, (0.0, 0.02, 0.0))), np.array(grasp)
+    stated = pliant.HandGuiding(model, payload=(0.3, (0.0, 0.0, 0.04)))
+    guiding = pliant.HandGuiding(model)
+    assert guiding.payload == model.payload
+    guiding.set_payload(stated.payload.mass, stated.payload.com)
+    assert stated.payload.mass == pytest.approx(0.4)
+    assert stated.payload.com == pytest.approx([0.0, 0.005, 0.03])
+    for _ in range(20):
+        assert guiding.step(q).goal == pytest.approx(stated.step(q).goal, abs=1e-12)
+    assert pliant.HandGuiding(robots.load("arm7")).payload is None
+    for mass in (0.05, -1.0, np.nan):
+        with pytest.raises(pliant.OutOfRangeError, match=r"mass \[kg\] must be in \[0\.1, "):
+            guiding.set_payload(mass)
+    assert guiding.payload == stated.payload

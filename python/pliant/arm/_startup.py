@@ -279,13 +279,14 @@ def measured_servos(io: ArmIO, ratio: Array) -> Servos:
     """Return the servos with the stiffness that `ratio` (n,) of `stiffness_ratio` gives.
 
     Ratios near 1 count as 1. A servo without a measured ratio gets the median of the others if
-    these agree.
+    these agree, or the root of a single one, because servos of an arm may differ.
     """
     ratio = np.clip(np.where(ratio > 0.0, ratio, np.nan), *RATIO_BOUNDS)
     ratio = np.where((ratio > 1.0 / SAME) & (ratio < SAME), 1.0, ratio)
     found = ratio[np.isfinite(ratio)]
-    agree = found.size > 1 and found.max() < AGREEMENT * found.min()
-    typical = float(np.median(found)) if agree else 1.0
+    typical = 1.0
+    if found.size and found.max() < AGREEMENT * found.min():
+        typical = float(np.median(found)) ** (0.5 if found.size == 1 else 1.0)
     kp = np.asarray(io.servos.kp) * np.where(np.isfinite(ratio), ratio, typical)
     return io.servos.replace(kp=kp)
 
@@ -306,6 +307,6 @@ def stiffness_mismatch(io: ArmIO, ratio: Array) -> str | None:
         return reversed_leads
     return (f"{reversed_leads}; " if wrong else "") + (
         f"servos are stiffer or softer than their table, or weights or zeros are wrong: "
-        f"{', '.join(found)} the assumed k_p: make controllers from arm.servos after torque on, "
-        "and measure k_p with pliant.identify.identify_servos(arm, model)"
+        f"{', '.join(found)} the assumed k_p: make controllers after torque on, and measure k_p "
+        "with pliant.identify.identify_servos(arm, model)"
     )
