@@ -104,19 +104,25 @@ def test_torque_on_measures_the_stiffness_of_joints_that_carry_weight(name, load
     for seed in (1, 3, 4, 7):
         session = Session(name, ratio, seed, known=False, load=load)
         arm, table = session.arm, session.plant.table
-        weight = np.abs(arm.model.gravity(session.plant.q))
+        weight = np.abs(arm.model.gravity(session.plant.q)) + 1e-9
         clear = weight > 4.0 * np.asarray(table.friction)
-        found += [*(np.asarray(arm.servos.kp) / table.kp / session.ratio)[clear]]
+        # Soft servos are believed stiffer, by a load that friction may hide.
+        hidden = np.where(session.ratio < 1.0, 1.0 + 2.0 * table.friction / weight, 1.0)
+        measured = np.asarray(arm.servos.kp) / table.kp
+        assert np.all((measured / session.ratio / hidden)[clear] < 1.5)
+        found += [*(measured / session.ratio)[clear]]
         assert not arm.servos.stiffness_known
         assert arm.model.servos == arm.servos
     assert len(found) > 1
     assert min(found) > 0.75
-    assert max(found) < 1.35
 
 
 def measured(*ratios):
     """Return k_p of the servos that have these measured ratios, over the assumed k_p (n,)."""
-    io = SimpleNamespace(servos=robots.load("so101").servos)
+    model = robots.load("so101")
+    # So much weight that friction hides no load.
+    io = SimpleNamespace(servos=model.servos, model=model, q=np.zeros(5), load=0.0)
+    io.gravity = lambda: np.full(5, 1e9)
     return np.asarray(measured_servos(io, np.array(ratios)).kp) / np.asarray(io.servos.kp)
 
 
@@ -216,3 +222,17 @@ def test_a_lead_that_raises_its_joint_at_last_does_not_raise_it_further():
     for seed in (0, 1, 2, 3):
         away = Session("so101", 0.5, seed, known=False).hold(pliant.Settings.firm(task="xyz"))
         assert away[:, 2].max() < 0.004
+
+
+@pytest.mark.parametrize(("name", "load"), [("koch", 0.1), ("koch", 0.2), ("so101", 0.1)])
+def test_hand_guiding_carries_the_load_that_torque_on_measured(name, load):
+    """Without it, hand guiding is refused, or the arm falls."""
+    for seed in (0, 1, 4):
+        session = Session(name, 1.0 if seed < 3 else 2.0, seed, known=False, load=load)
+        guiding, height = pliant.HandGuiding(session.arm.model, session.arm.servos), []
+        for tick in pliant.Loop(session.arm, guiding, duration=12.0):
+            tick.step()
+            height.append(session.plant.tool[2, 3])
+        assert guiding.payload == pliant.Payload(session.arm.load)
+        assert guiding.ready
+        assert abs(height[-1] - height[0]) < 0.025, seed

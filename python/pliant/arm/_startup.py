@@ -36,6 +36,8 @@ MISMATCH = 1.5
 #: Ratio, or inverse ratio, up to which a servo has the assumed stiffness: friction explains it.
 #: Larger ratios are clipped to `RATIO_BOUNDS`.
 SAME, RATIO_BOUNDS = 1.25, (0.4, 2.5)
+#: Load that friction may hide from the balance, as a multiple of the friction of each joint.
+HIDDEN = 2.0
 #: Largest quotient of the ratios of servos that agree.
 AGREEMENT = 1.5
 #: Weight over friction of a joint above which its motion and its lead tell about the weight.
@@ -278,9 +280,13 @@ def stiffness_ratio(io: ArmIO, leads: Array, *, is_supported: bool = False) -> A
 def measured_servos(io: ArmIO, ratio: Array) -> Servos:
     """Return the servos with the stiffness that `ratio` (n,) of `stiffness_ratio` gives.
 
-    Ratios near 1 count as 1. A servo without a measured ratio gets the median of the others if
-    these agree, or the root of a single one, because servos of an arm may differ.
+    A soft servo is assumed to carry a load that friction hides: with too small a k_p, goals lead
+    too far. Ratios near 1 count as 1. A servo without a measured ratio gets the median of the
+    others if these agree, or the root of a single one, because servos of an arm may differ.
     """
+    weight = np.abs(io.gravity() + io.load * unit_load(io.model, io.q))
+    hidden = 1.0 + HIDDEN * np.asarray(io.servos.friction) / np.maximum(weight, 1e-9)
+    ratio = np.where(ratio < 1.0, np.minimum(hidden * ratio, 1.0), ratio)
     ratio = np.clip(np.where(ratio > 0.0, ratio, np.nan), *RATIO_BOUNDS)
     ratio = np.where((ratio > 1.0 / SAME) & (ratio < SAME), 1.0, ratio)
     found = ratio[np.isfinite(ratio)]

@@ -283,7 +283,8 @@ class Arm:
         ratio = stiffness_ratio(io, self.leads, is_supported=is_supported)
         self._free_leads = np.where(np.isnan(ratio) & is_supported, np.nan, self.leads)
         if not io.servos.stiffness_known:
-            self.servos = measured_servos(io, ratio)
+            # Without the balance, a load is not known, and looks like soft servos.
+            self.servos = io.servos if carried.any() else measured_servos(io, ratio)
             self.model = self.model.with_servos(self.servos)
         # A sagging supply changes the leads as wrong servo parameters do: report only the sag.
         mismatch = io.watch_supply() or stiffness_mismatch(io, ratio)
