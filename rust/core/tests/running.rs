@@ -706,7 +706,9 @@ fn the_part_of_a_captured_lead_that_no_stiffness_explains_stays() {
     controller.capture_gravity(&Q, &goal).unwrap();
     let held = |controller: &mut Controller| {
         controller.reset(&Q).unwrap();
-        (0..300).for_each(|_| drop(controller.step(&Q, &target, &StepInput::default()).unwrap()));
+        for _ in 0..300 {
+            controller.step(&Q, &target, &StepInput::default()).unwrap();
+        }
         controller.step(&Q, &target, &StepInput::default()).unwrap().goal().to_vec()
     };
     assert!(largest_difference(&held(&mut controller), &goal) < 1e-9);
