@@ -214,6 +214,7 @@ class _WeightTransfer:
     ) -> None:
         """Prepare the transfer; send nothing. The arguments are those of `transfer_weight`."""
         self._io, self._start, self._taken = io, start_q, taken
+        io.load = 0.0
         self._rate = max(rate, LOOP_RATE)
         self._period = self._slowest = 1.0 / self._rate
         servos = io.servos

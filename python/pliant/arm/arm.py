@@ -106,8 +106,9 @@ class Arm:
         drive, rate, rest_q, comm_timeout, table: The arguments of the same names.
         detour: Reason why the last lowering skipped the rest pose or gave it up; None if it did
             not.
-        servos: Servo parameters of the chain, n entries; updated when the drive opens. A
-            `stiffness_known` that did not hold the arm at torque on becomes False.
+        servos: Servo parameters of the chain, n entries; updated when the drive opens. At torque on
+            a `stiffness_known` that does not hold the arm becomes False, and a `kp` that is not
+            known becomes the measured one, also in `model`.
         grippers: Grippers by joint name; created again when the drive opens.
         leads: Goal minus position that held each joint against gravity at torque on (n,) [rad]; NaN
             for a joint that rested on an object, and before the first torque on.
