@@ -748,26 +748,33 @@ class Loop:
 def capture_leads(arm: Arm, controller: Any) -> None:
     """Pass the leads and the load of torque on to a controller, if servo stiffness is not known.
 
-    The load adds to the payload of the model; a payload of the controller's own stays. The
-    controller's `capture_gravity`, if it has one, derives the gravity offset from the lead (goal
-    minus position) that held each joint when torque was switched on, and from the weight at the
-    positions of that time: the arm may have moved since. For joints without a measured lead, the
-    lead is the gravity torque divided by the assumed stiffness.
+    The load adds once to the payload of the model; a payload of the controller's own stays. A later
+    change of the payload changes the leads. The controller's `capture_gravity`, if it has one,
+    derives the gravity offset from the lead (goal minus position) that held each joint when torque
+    was switched on, and from the weight at the positions of that time: the arm may have moved
+    since. For joints without a measured lead, the lead is the gravity torque divided by the assumed
+    stiffness.
     """
     capture, leads = getattr(controller, "capture_gravity", None), getattr(arm, "_free_leads", None)
     if capture is None or leads is None or arm.servos.stiffness_known:
         return
     q, own = arm._leads_q, arm.model.payload
-    weight = np.asarray(arm.model.gravity(q))
-    if arm.load > 0.0 and getattr(controller, "payload", arm) == own:
-        mass, moment = (own.mass, own.mass * own.com) if own else (0.0, np.zeros(3))
+    mass, moment = (own.mass, own.mass * own.com) if own else (0.0, np.zeros(3))
+    is_new = all(known is not controller for known in arm._loaded)
+    if arm.load > 0.0 and is_new and getattr(controller, "payload", arm) == own:
         total = mass + arm.load
         # Refused where the servos cannot hold the load in any posture.
         with suppress(OutOfRangeError):
             controller.set_payload(total, moment / total)
-            weight = weight + arm.load * unit_load(arm.model, q)
-    modelled = weight / np.asarray(arm.servos.kp)
-    capture(q, q + np.where(np.isfinite(leads), leads, modelled))
+        arm._loaded.append(controller)
+    payload = getattr(controller, "payload", own)
+    carried, kp = payload.mass if payload else 0.0, np.asarray(arm.servos.kp)
+    if arm._leads_mass is None:
+        arm._leads_mass = carried
+    unit = unit_load(arm.model, q) / kp
+    modelled = np.asarray(arm.model.gravity(q)) / kp + (carried - mass) * unit
+    changed = leads + (carried - arm._leads_mass) * unit
+    capture(q, q + np.where(np.isfinite(leads), changed, modelled))
 
 
 def _check_controller(controller: Any, arm: Arm) -> None:

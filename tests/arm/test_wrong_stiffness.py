@@ -210,6 +210,8 @@ def test_the_load_and_a_payload_of_the_model_have_a_common_centre_of_mass():
         load=0.04,
         _free_leads=np.zeros(model.n),
         _leads_q=np.zeros(model.n),
+        _leads_mass=None,
+        _loaded=[],
     )
     controller = pliant.Controller(model, pliant.Settings(task="xyz"), arm.servos)
     capture_leads(arm, controller)
@@ -236,3 +238,50 @@ def test_hand_guiding_carries_the_load_that_torque_on_measured(name, load):
         assert guiding.payload == pliant.Payload(session.arm.load)
         assert guiding.ready
         assert abs(height[-1] - height[0]) < 0.025, seed
+
+
+def test_leads_follow_a_payload_that_is_set_after_torque_on():
+    """With the leads of the loaded arm, it would rise by up to 0.2 m once the load is put down."""
+    model = robots.load("koch")
+    q, kp = np.array([0.0, -0.5, 0.5, 0.5, 0.0]), np.asarray(model.servos.kp)
+    unit = np.asarray(robots.load("koch", payload=(1.0, np.zeros(3))).gravity(q)) - model.gravity(q)
+    leads = (model.gravity(q) + 0.1 * unit) / kp
+    arm = SimpleNamespace(
+        model=model,
+        servos=model.servos.replace(stiffness_known=False),
+        load=0.1,
+        _free_leads=np.where(np.arange(5) == 3, np.nan, leads),
+        _leads_q=q,
+        _leads_mass=None,
+        _loaded=[],
+    )
+    controller = SimpleNamespace(payload=None, found=None)
+    controller.capture_gravity = lambda q, goal: setattr(controller, "found", goal - q)
+    controller.set_payload = lambda *values: setattr(controller, "payload", pliant.Payload(*values))
+    capture_leads(arm, controller)
+    assert controller.payload.mass == pytest.approx(0.1)
+    assert controller.found == pytest.approx(leads, abs=1e-6)
+    for mass in (0.0, 0.05):
+        controller.set_payload(mass)
+        capture_leads(arm, controller)
+        assert controller.payload.mass == mass
+        assert controller.found == pytest.approx(leads + (mass - 0.1) * unit / kp, abs=1e-6)
+    # A payload like that of the model is not taken for one that nobody has set.
+    controller.payload = None
+    capture_leads(arm, controller)
+    assert controller.payload is None
+
+
+def test_a_load_on_the_table_does_not_lift_the_arm():
+    options = {"backend": "sim", "kp_scale": 2.0, "payload": (0.1, np.zeros(3))}
+    rest = config.load("koch").life.rest_q
+    with pliant.connect("koch", q=rest, handle_signals=False, **options) as arm:
+        assert arm.load == 0.0
+        settings = pliant.Settings.soft("x y z", task="xyz")
+        controller, height = pliant.Controller(arm.model, settings, arm.servos), []
+        target = arm.model.forward_kinematics(arm.read().q)
+        for tick in pliant.Loop(arm, controller, duration=2.0):
+            tick.step(target)
+            height.append(arm.drive.plant.tool[2, 3])
+        arm.disable_torque()
+    assert max(height) - height[0] < 0.005

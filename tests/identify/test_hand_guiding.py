@@ -207,6 +207,10 @@ def test_a_payload_that_is_set_is_that_of_the_constructor(grasp):
         assert guiding.step(q).goal == pytest.approx(stated.step(q).goal, abs=1e-12)
     assert pliant.HandGuiding(robots.load("arm7")).payload is None
     for mass in (0.05, -1.0, np.nan):
-        with pytest.raises(pliant.OutOfRangeError, match=r"mass \[kg\] must be in \[0\.1, "):
+        with pytest.raises(pliant.OutOfRangeError, match=r"mass \[kg\]"):
             guiding.set_payload(mass)
+    with pytest.raises(TypeError, match="mass"):
+        guiding.set_payload("a")
     assert guiding.payload == stated.payload
+    guiding.set_payload(0.2, None)
+    assert guiding.payload == pliant.Payload(0.2)

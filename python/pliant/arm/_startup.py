@@ -38,6 +38,8 @@ MISMATCH = 1.5
 SAME, RATIO_BOUNDS = 1.25, (0.4, 2.5)
 #: Load that friction may hide from the balance, as a multiple of the friction of each joint.
 HIDDEN = 2.0
+#: Load above which the user is told [kg].
+TOLD_LOAD = 0.03
 #: Largest quotient of the ratios of servos that agree.
 AGREEMENT = 1.5
 #: Weight over friction of a joint above which its motion and its lead tell about the weight.
@@ -313,6 +315,7 @@ def stiffness_mismatch(io: ArmIO, ratio: Array) -> str | None:
         return reversed_leads
     return (f"{reversed_leads}; " if wrong else "") + (
         f"servos are stiffer or softer than their table, or weights or zeros are wrong: "
-        f"{', '.join(found)} the assumed k_p: make controllers after torque on, and measure k_p "
-        "with pliant.identify.identify_servos(arm, model)"
+        f"{', '.join(found)} the assumed k_p, or a hand carried the arm (then switch torque off "
+        "and on): make controllers after torque on, and measure k_p with "
+        "pliant.identify.identify_servos(arm, model)"
     )

@@ -28,6 +28,7 @@ from pliant.arm._messages import MESSAGES
 from pliant.arm._shutdown import ExitMessages, descend, exit_cause, hold_position
 from pliant.arm._signals import Signals, is_interrupted
 from pliant.arm._startup import (
+    TOLD_LOAD,
     check_reading_time,
     check_weight,
     check_within_limits,
@@ -178,6 +179,9 @@ class Arm:
         # others are NaN (n,) [rad].
         self._leads_q: Array = np.zeros(model.n)
         self._free_leads = self.leads
+        # Since torque on: payload of the first controller [kg], and controllers with the load.
+        self._leads_mass: float | None = None
+        self._loaded: list[object] = []
 
     def _build(self) -> None:
         """Create the parts that depend on servo parameters; `open` calls this again."""
@@ -279,8 +283,9 @@ class Arm:
             self.leads = transfer_weight(io, self._points, start_q, carried, self.rate)
         finally:
             self._doubt = displacement(io, start_q)
-        self._leads_q, self.load = io.q.copy(), io.load
+        self._leads_q, self._leads_mass, self._loaded = io.q.copy(), None, []
         is_supported = may_lie_on(self.table, self._points, io.q)
+        self.load = 0.0 if is_supported else io.load
         ratio = stiffness_ratio(io, self.leads, is_supported=is_supported)
         self._free_leads = np.where(np.isnan(ratio) & is_supported, np.nan, self.leads)
         if not io.servos.stiffness_known:
@@ -299,6 +304,11 @@ class Arm:
             self._doubt = self._doubt or light
         for text in filter(None, (displaced, light, mismatch)):
             MESSAGES.post(text, logging.WARNING)
+        if self.load > TOLD_LOAD:
+            MESSAGES.post(
+                f"{self.name} carries some {self.load * 1e3:.0f} g at its tool beyond its model, "
+                "and loops count on it. Did a hand press it down? Then switch torque off and on"
+            )
         self._set_watchdog()
         self._supervisor.heartbeat[1] = 0.0
 

@@ -155,11 +155,12 @@ class HandGuiding:
             com: Centre of mass (3,) in the tool frame [m].
 
         Raises:
-            OutOfRangeError, ShapeError: An argument is invalid; nothing has changed.
+            OutOfRangeError, ShapeError, TypeError: An argument is invalid; nothing has changed.
         """
-        mass = number(mass, "mass", float(self._own_moments[0]), 1e6, "kg")
-        self._payload = Payload(mass, com)
-        self._set_moments(first_moments(mass, com))
+        payload = Payload(mass, com)
+        number(payload.mass, "mass", float(self._own_moments[0]), 1e6, "kg")
+        self._payload = payload
+        self._set_moments(first_moments(payload.mass, payload.com))
 
     def _set_moments(self, total: Array) -> None:
         self._total_moments, self._moments = total, total - self._own_moments
