@@ -209,7 +209,7 @@ def test_a_payload_that_is_set_is_that_of_the_constructor(grasp):
     for mass in (0.05, -1.0, np.nan):
         with pytest.raises(pliant.OutOfRangeError, match=r"mass \[kg\]"):
             guiding.set_payload(mass)
-    with pytest.raises(TypeError, match="mass"):
+    with pytest.raises(pliant.ConfigError, match="mass"):
         guiding.set_payload("a")
     assert guiding.payload == stated.payload
     guiding.set_payload(0.2, None)

@@ -155,7 +155,7 @@ class HandGuiding:
             com: Centre of mass (3,) in the tool frame [m].
 
         Raises:
-            OutOfRangeError, ShapeError, TypeError: An argument is invalid; nothing has changed.
+            OutOfRangeError, ShapeError, ConfigError: An argument is invalid; nothing has changed.
         """
         payload = Payload(mass, com)
         number(payload.mass, "mass", float(self._own_moments[0]), 1e6, "kg")
