@@ -266,7 +266,7 @@ def test_leads_follow_a_payload_that_is_set_after_torque_on():
         capture_leads(arm, controller)
         assert controller.payload.mass == mass
         assert controller.found == pytest.approx(leads + (mass - 0.1) * unit / kp, abs=1e-6)
-    # A payload like that of the model is not taken for one that nobody has set.
+    # The load is added once, also if the payload is that of the model again.
     controller.payload = None
     capture_leads(arm, controller)
     assert controller.payload is None
